@@ -56,6 +56,7 @@ COUNTERS = record(
     "estimate_after",
     "extra_stages",
     "charted",
+    "paired",
     "dense_nested",
     "output_count",
     "outputs_done",
@@ -119,13 +120,14 @@ CALLBACK = record(
     ROLLING_ROW,
     OWNER,
     WHOLE,
-) = range(18)
-CONTACT_INTS = 18
+    NEXT,
+) = range(19)
+CONTACT_INTS = 19
 # contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
 ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # contact_int[SPINNING_ROW], contact_int[ROLLING_ROW]: rows of a contact's resistances among all, 0 for none;
 # contact_int[OWNER]: of a resistance's row, its contact; contact_int[WHOLE]: the body (0 or 1) whose contour lies in
-# the ball of HULL and EXTENT
+# the ball of HULL and EXTENT; contact_int[NEXT]: the next contact of the same two contours, in a ring
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
@@ -258,6 +260,8 @@ LOOK_ROW = SCAN_ROOM + KEPT_ROWS
 LEFT_ROW, RIGHT_ROW = LOOK_ROW + 1, LOOK_ROW + 2
 SCAN_ROWS = RIGHT_ROW + 1
 NOTHING_THERE = 1e300
+# Two places of a contact closer than this, relative to its length, are one.
+SAME_PLACE = 1e-6
 
 
 SYSTEM = Layout(

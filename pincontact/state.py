@@ -28,6 +28,7 @@ from .geometry.search import Candidate, find_candidates
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
+from .integration.nearness import of_same_contours
 from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,
@@ -35,6 +36,7 @@ from .layout import (
     DETERMINANT_SIGN,
     FREE,
     FRICTIONLESS,
+    LENGTH,
     MASS_NOT_POSITIVE,
     MODE,
     OK,
@@ -305,21 +307,36 @@ def find_state(
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
+    places: dict[int, Candidate] = {}
     untouched: dict[str, NoContactError] = {}
     for c, contact in enumerate(contacts):
-        candidates[contact.name] = found = _candidates(scene, contact, q, v, t, contact.name in free)
+        is_free = contact.name in free
+        candidates[contact.name] = found = _candidates(scene, contact, q, v, t, is_free)
+        length = system.contact_real[c, LENGTH]
+        taken = [places[i] for i in of_same_contours(system, c) if i in places]
+        fresh = [one for one in found if not any(one.is_at(other, length) for other in taken)]
+        if taken:
+            # on the side where the others are
+            fresh = [one for one in fresh if one.side in (0, taken[0].side)]
         try:
-            chosen = _choose(contact, found, contact.name in free, max_gap)
+            if taken and found and not (fresh or is_free):
+                raise NoContactError(
+                    f"contact {contact.name!r}: other contacts of {contact.first.name!r} and {contact.second.name!r} "
+                    "are where these could touch; start it open (free=)",
+                    found[0].gap,
+                )
+            chosen = _choose(contact, fresh or found, is_free, max_gap)
         except NoContactError as error:
             untouched[contact.name] = error
             continue
         integers = system.contact_int[c]
         integers[SIDE] = contact.side or chosen.side or 1
         integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
+        places[c] = chosen
         system.location[c] = chosen.location
         system.side_int[2 * c : 2 * c + 2, CHART] = chosen.charts
         ideal = contact.friction is not None and math.isinf(contact.friction.sliding)
-        integers[MODE] = FREE if contact.name in free else STICK if ideal else FRICTIONLESS
+        integers[MODE] = FREE if is_free else STICK if ideal else FRICTIONLESS
     if untouched:
         raise _together(untouched)
     correction = _correct(scene, system, q, v, t)

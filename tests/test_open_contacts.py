@@ -499,7 +499,7 @@ def test_what_may_touch_within_a_step_is_foreseen():
         write_discrete(system, state.discrete)
         system.evaluate(0.0)
         opened = OpenContacts(system)
-        assert opened.are_any()
+        assert opened.are_any(0.0)
         assert opened.begin_step(0.0, touch) == (math.inf, True)
         foreseen.append(opened.begin_step(0.0, 0.3 * touch)[1])
     assert np.mean(foreseen) < 0.5

@@ -12,14 +12,15 @@ from made_systems import made_system
 
 import pincontact as pc
 from pincontact.constraints.kinematics import basis_at_contact
+from pincontact.constraints.stationary import _is_solved
 from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
-from pincontact.geometry import nearest
+from pincontact.geometry import cells, nearest
 from pincontact.geometry.frames import curve_normal_axis
 from pincontact.geometry.location import NORMAL, conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
 from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
-from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
+from pincontact.geometry.search import _sample, _seeds, find_candidates, stationary_points
 from pincontact.layout import K1, K2, LENGTH, PATTERN, SYSTEM
 
 UNKNOWN = np.full(4, np.nan)
@@ -54,25 +55,49 @@ def turned(seed):
 # Cells and what they say of a contour.
 
 
-@pytest.mark.parametrize("counts", [(7,), (3, 5)])
-def test_cells_cover_a_box_once(counts):
-    box = [(-1.0, 2.0), (3.0, 4.0)][: len(counts)]
-    centres, half = nearest._cells(box, counts)
-    assert centres.shape == (math.prod(counts), 2)
-    assert half == pytest.approx([1.5 / counts[0], 0.5 / counts[1] if len(counts) == 2 else 0.0], rel=1e-15)
-    halves = np.tile(half, (len(centres), 1))
-    # divided or not: each point of the box is in one cell, and cells are inside
-    generator = np.random.default_rng(1)
-    for cells, sizes in ((centres, halves), nearest._divided(centres, halves, len(counts))):
-        k = len(counts)
-        for _ in range(50):
-            point = np.array([generator.uniform(*ends) for ends in box])
-            assert (np.abs(cells[:, :k] - point) < sizes[:, :k]).all(axis=1).sum() == 1
-        volume = np.prod(2.0 * sizes[:, :k], axis=1)
-        assert volume == pytest.approx(np.full(len(cells), volume[0]), rel=1e-14)
-        assert volume.sum() == pytest.approx(np.prod(np.ptp(box, axis=1)), rel=1e-14)
-        if k == 1:
-            assert not cells[:, 1].any()
+@pytest.mark.parametrize(
+    ("contour", "finest"),
+    [(pc.SplineCurve(np.random.default_rng(5).normal(size=(9, 3))), 0.01), (pc.Torus(0.6, 0.2), 0.03)],
+    ids=["curve", "surface"],
+)
+def test_cells_cover_a_contour_once(contour, finest):
+    """Each point is in one cell, and within its radius; the nearest samples are those by all distances, and what is
+    left out is farther away by as much as was asked for."""
+    generator, k = np.random.default_rng(1), contour.dimension
+    samples = np.array([2.0, 0.0, 0.0]) + generator.normal(size=(300, 3))
+    search = cells.search_workspace(contour, samples)
+    search.box[:k] = contour.domain
+    rotation, place, own = pin.exp3(np.array([0.3, -1.0, 0.5])), np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.5, 0.2])
+    search.pose[:3], search.pose[3], search.pose[4] = rotation, place, own
+    samples = (samples - own) @ rotation.T + place
+    for beyond in (math.inf, 0.2):
+        search.numbers["beyond"], search.numbers["around"], search.numbers["finest"] = beyond, 0.05, finest
+        cells.near_cells(search.address)
+        n = int(search.counts["cells"])
+        assert (128 if k == 1 else 576) < n <= 4096 or beyond < 1.0
+        middles, halves, points, reaches = (
+            a[:n] for a in (search.middles, search.halves, search.points, search.reaches)
+        )
+        np.testing.assert_allclose(points, contour.evaluate_many(middles[:, :k])[:, F], atol=1e-15)
+        distances, nearest = scipy.spatial.cKDTree(samples).query(points)
+        np.testing.assert_allclose(search.distances[:n], distances, rtol=1e-12)
+        assert (search.order[search.pairs[:n]] == nearest).all()
+        low, high = np.array(contour.domain).T
+        places = low + (high - low) * generator.random((200, k))
+        away = scipy.spatial.cKDTree(samples).query(contour.evaluate_many(places)[:, F])[0]
+        for u, point, distance in zip(places, contour.evaluate_many(places)[:, F], away):
+            inside = (np.abs(middles[:, :k] - u) < halves[:, :k]).all(axis=1)
+            assert inside.sum() == (1 if beyond > 1.0 else inside.any())
+            if inside.any():
+                assert np.linalg.norm(points[inside][0] - point) <= reaches[inside][0]
+            else:
+                assert distance > distances.min() + beyond
+        if beyond > 1.0:
+            all_of_them = n
+            volume = np.prod(2.0 * halves[:, :k], axis=1)
+            assert volume.sum() == pytest.approx(np.prod(high - low), rel=1e-12)
+        else:
+            assert 0 < n < all_of_them
 
 
 def uneven(u):
@@ -415,9 +440,9 @@ def test_a_guess_is_followed_alone_and_comes_back_into_the_domain():
     assert find_candidates(arc, 0.0, UNKNOWN) == []
     (beyond,) = find_candidates(arc, 0.0, UNKNOWN, beyond=True)
     assert not 2.0 <= beyond.location[2] <= 3.0
-    start = np.array([0.0, 0.0, beyond.location[2], 0.0])
-    assert refine(arc, 0.0, start, 1, set()) is None
-    assert refine(arc, 0.0, start, 1, set(), inside=False) is not None
+    starts = np.array([[0.0, 0.0, beyond.location[2], 0.0]])
+    assert not stationary_points(arc, 0.0, starts, [1])[0]
+    assert stationary_points(arc, 0.0, starts, [1], inside=False)[0]
 
 
 def test_two_circles_beside_each_other():
@@ -478,7 +503,7 @@ def test_equations_are_solved_for_tangents_of_any_length(shape, ground, scale):
     """Near a pole a tangent vanishes, and with it every equation: what counts are angles."""
     system = system_of(shape, ground, [0.9, 0.1, 0.3, *turned(2)])
     found = find_candidates(system, 0.0, UNKNOWN)[0]
-    assert refine(system, 0.0, found.location, found.branch, set()) is not None
+    assert stationary_points(system, 0.0, found.location[None], [found.branch])[0]
     derivatives = system.derivatives.copy()
     tangents = [(0, 1 + a) for a in range(shape.dimension)] + [(1, 1 + a) for a in range(ground.dimension)]
     for body, row in tangents:
@@ -512,9 +537,8 @@ def test_a_location_comes_back_into_its_domain_whatever_chart_the_other_has(turn
     (first, *_) = find_candidates(system, 0.0, UNKNOWN)
     assert first.charts == (0, 1)
     # from the pole of the first chart, as a user would name it
-    start = np.array([first.location[0] + 2.0 * math.pi * turns, 0.0, 0.4, 1.5])
-    found = refine(system, 0.0, start, 1, set())
-    assert found is not None
+    starts = np.array([[first.location[0] + 2.0 * math.pi * turns, 0.0, 0.4, 1.5]])
+    (found,), _ = stationary_points(system, 0.0, starts, [1])
     assert found.charts == (0, 1)
     assert found.location == pytest.approx(first.location, abs=1e-9)
     assert found.gap == pytest.approx(first.gap, abs=1e-14)

@@ -33,7 +33,7 @@ from ..callback import call_by_address, call_python, separate_kernel
 from ..constraints.kinematics import constraint_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
 from ..friction.ellipse import set_friction_scaling
-from ..geometry.carriers import add_drive, place_on_joint, rest_in_world
+from ..geometry.carriers import ORIGIN, add_drive, place_on_joint, rest_in_world
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, REAL, entry_kernel, inlined_kernel, kernel
@@ -51,6 +51,7 @@ from ..layout import (
     JOINT_Q,
     JOINT_V,
     K1,
+    LENGTH,
     LOW_END,
     MASS_NOT_POSITIVE,
     MODE,
@@ -58,10 +59,12 @@ from ..layout import (
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
+    NEXT,
     NOT_FINITE,
     NOTHING_THERE,
     OK,
     PATTERN,
+    SAME_PLACE,
     SYSTEM,
     TIME_DEPENDENT,
     system_at,
@@ -162,6 +165,8 @@ def evaluate_contacts(system, with_rows, with_bias):
             leave_apart(system, c)
         else:
             return status
+    if system.counters.paired != 0:
+        leave_taken_places(system)
     return OK
 
 
@@ -210,6 +215,37 @@ def leave_apart(system, c):
         system.slip[c, row] = system.bias[c, row] = 0.0
         for k in range(system.sizes.nv):
             system.rows[c, row, k] = 0.0
+
+
+@kernel
+def leave_taken_places(system):
+    """An open contact that is where another one of the same contours is has no nearest point of its own."""
+    contact_int, gaps = system.contact_int, system.gaps
+    for c in range(system.sizes.nc):
+        other = contact_int[c, NEXT]
+        while contact_int[c, MODE] == FREE and other != c:
+            first = other < c or contact_int[other, MODE] != FREE
+            if first and gaps[other, 0] < NOTHING_THERE and _are_at_one_place(system, c, other):
+                leave_apart(system, c)
+                break
+            other = contact_int[other, NEXT]
+
+
+@kernel
+def _are_at_one_place(system, c, other):
+    """Whether two contacts, of the same contours in any order, have the same points."""
+    same = SAME_PLACE * system.contact_real[c, LENGTH]
+    if not abs(system.gaps[c, 0] - system.gaps[other, 0]) < same:
+        return False
+    square = 0.0
+    for i in range(3):
+        between = 0.0
+        for body in range(2):
+            one, two = 2 * c + body, 2 * other + body
+            between += system.frames[one, ORIGIN, i] - system.frames[two, ORIGIN, i]
+            between += system.derivatives[one, 0, i] - system.derivatives[two, 0, i]
+        square += between * between
+    return 0.25 * square < same * same
 
 
 @kernel

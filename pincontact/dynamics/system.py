@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from ..callback import kernel_address
+from ..constraints.stationary import INTEGERS_FOUND, REALS_FOUND, find_stationary
 from ..contacts import characteristic_length
 from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
 from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
@@ -55,6 +57,7 @@ from ..layout import (
     MU_FAST,
     MU_NOW,
     MU_STATIC,
+    NEXT,
     NORMAL_1,
     NORMAL_SIGN,
     NUMBER_OF_WORKS,
@@ -145,6 +148,7 @@ class System(Workspace):
         self._map_joint_limits(limits)
         self._map_resistances()
         self._map_calls()
+        self.counters["paired"] = bool((self.contact_int[: self.nc, NEXT] != np.arange(self.nc)).any())
         self.counters["charted"] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
@@ -196,6 +200,10 @@ class System(Workspace):
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
+        pairs = [frozenset((contact.first.name, contact.second.name)) for contact in self.contacts]
+        for c, pair in enumerate(pairs):
+            others = range(c + 1, c + 1 + self.nc)
+            self.contact_int[c, NEXT] = next(i % self.nc for i in others if pairs[i % self.nc] == pair)
         # places in the state of contact coordinates that do not exist, or are not integrated: a closed form needs no
         # start to find them
         columns = self.contact_int[: self.nc]
@@ -438,6 +446,17 @@ class System(Workspace):
     def evaluate_kinematics(self, t: float) -> int:
         """Contact coordinates, rows and biases of all contacts at (q, v), open ones too; a status of `layout`."""
         return self.checked(evaluate_state(self.address, t, KINEMATICS_OF_ALL))
+
+    def find_stationary(self, t: float, starts: np.ndarray, branches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where Newton's method leads at (q, v) from contact coordinates (n, 4) of the only contact, with branches (n,)
+        of closed forms: integers and reals, see `constraints.stationary`."""
+        self.evaluate_kinematics(t)
+        bodies = self.contacts[0].body1, self.contacts[0].body2
+        charts = np.array([*product(*(body.contour.charts for body in bodies))], dtype=np.int64)
+        integers = np.zeros((len(starts), INTEGERS_FOUND), dtype=np.int64)
+        reals = np.zeros((len(starts), REALS_FOUND))
+        find_stationary(self.address, starts, branches, charts, integers, reals)
+        return integers, reals
 
     @property
     def charted(self) -> bool:

@@ -7,32 +7,35 @@ the nearest sample, less its radius, is left out, the rest divided; Newton's met
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
 
 from ..contours import Contour, HeightField, Plane, Sphere
-from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, MODE, PATTERN, SIDE
+from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import ORIGIN
+from .cells import (
+    CURVE_CELLS,
+    FINEST,
+    LONGER,
+    MOST_FEET,
+    SURFACE_CELLS,
+    find_feet,
+    near_cells,
+    put_samples,
+    search_workspace,
+)
 from .location import NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
-from .search import Candidate, evaluated, grid, refine, spaced
+from .search import Candidate, evaluated, grid, spaced, stationary_points
 
-# Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
-_CURVE_CELLS, _SURFACE_CELLS = 128, 24
-_DIVISIONS, _MOST_CELLS = 12, 4096
 # Samples of the contour that is taken as a whole.
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
-# What tangents within a cell are longer by than the longest that was seen.
-_LONGER = 1.2
-# Starts of Newton's method, and cells that are resolved, relative to the distance and to the radius of curvature.
-_STARTS = 6
-_FINE, _FINEST = 0.05, 0.05
-# Steps of Newton's method from the best samples to the points of their contour that are nearest to the other one's.
-_FOOT_STEPS = 4
+# Starts of Newton's method from what is nearest, and as many from what may be inside.
+_STARTS = MOST_FEET // 2
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
 # Radii of curvature beyond this, in m, count as this.
@@ -43,8 +46,9 @@ _SHARPEST = 0.9
 
 @dataclass(frozen=True)
 class Nearest:
-    """What a search has found. candidates: stationary points, the nearest first; distance: of any points of the
-    contours, at least; elsewhere: of any points outside the first candidate's neighbourhood, at least; in m."""
+    """What a search has found beside places that are taken. candidates: stationary points, the nearest first; distance:
+    of any points of the contours, at least; elsewhere: of any points outside the first candidate's neighbourhood, at
+    least; in m."""
 
     candidates: list[Candidate]
     distance: float
@@ -78,11 +82,6 @@ class Whole:
         self.centre = 0.5 * (low + high)
         self.extent = float(np.linalg.norm(self.points - self.centre, axis=1).max()) + self.radius
 
-    @cached_property
-    def tree(self) -> scipy.spatial.cKDTree:
-        """Finds the samples nearest to points in the contour's frame."""
-        return scipy.spatial.cKDTree(self.points)
-
     @property
     def size(self) -> float:
         """Radius in m of a ball around all of it."""
@@ -96,7 +95,7 @@ def bend(contour: Contour, t: float) -> float:
     if isinstance(contour, Sphere):
         return contour.shape[0]
     box = [(max(low, -_window(contour)), min(high, _window(contour))) for low, high in contour.domain]
-    centres, _ = _cells(box, (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2)
+    centres, _ = _cells(box, (CURVE_CELLS,) if contour.dimension == 1 else (SURFACE_CELLS,) * 2)
     values = evaluated(contour, centres, t)
     sharpest = np.zeros(len(values))
     for first, second in ((1, 3), (2, 5))[: contour.dimension]:
@@ -134,6 +133,7 @@ class NearestSearch:
             # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
             self.bend = min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
         self._single = system.alone(c)
+        self._cells = search_workspace(self.divided, self.whole.points)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
@@ -145,56 +145,45 @@ class NearestSearch:
         """The divided contour's frame, as last evaluated."""
         return self.system.frames[2 * self.c + 1 - self.side]
 
-    def search(self, t: float) -> Nearest:
-        """The nearest points at the system's (q, v)."""
+    def search(self, t: float, taken: Sequence[np.ndarray] = ()) -> Nearest:
+        """The nearest points at the system's (q, v).
+
+        taken: pairs of points (2, 3) of body 1 and body 2, in the world, at which other contacts of the same contours
+        are: nothing is looked for there.
+        """
         if self.whole.contour.time_dependent:
             self.whole = Whole(self.whole.contour, t)
-        whole, (rotation, centre) = self.whole, self.pose()
+            put_samples(self._cells, self.whole.points)
+        whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
         neighbourhood = _NEIGHBOURHOOD * self.bend
-        parameters, points, reaches = self._patch(t, centre, neighbourhood)
-        distances, pair = whole.tree.query((points - centre) @ rotation + whole.centre)
+        cells.numbers["time"], cells.numbers["beyond"] = t, neighbourhood
+        cells.numbers["around"], cells.numbers["finest"] = whole.radius, FINEST * self.bend
+        cells.box[: self.divided.dimension] = self._box(t, centre, neighbourhood)
+        cells.pose[:3], cells.pose[3], cells.pose[4] = rotation, centre, whole.centre
+        near_cells(cells.address)
+        count = int(cells.counts["cells"])
+        points, reaches, distances = cells.points[:count], cells.reaches[:count], cells.distances[:count]
         distances = distances - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
-        starts = [(int(i), int(pair[i])) for i in spaced(points, np.argsort(distances), neighbourhood, _STARTS)]
+        nearest = cells.order[cells.pairs[:count]]
+        starts = [(i, int(nearest[i])) for i in spaced(points, np.argsort(distances), neighbourhood, _STARTS)]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
-        found = self._candidates(t, parameters, starts)
-        distance = float(least.min())
-        if not found:
-            return Nearest([], distance, distance)
-        frame = self._frame()
-        at = frame[:3].T @ (found[0][1] - frame[ORIGIN])
-        away = np.linalg.norm(points - at, axis=1) > neighbourhood + reaches
-        elsewhere = min(float(least[away].min(initial=math.inf)), float(distances.min()) + neighbourhood)
-        return Nearest([candidate for candidate, _ in found], distance, elsewhere)
+        found = self._candidates(t, starts, taken)
+        frame, own = self._frame(), 1 - self.side
+        # what is farther than that has been left out
+        resolved = float(distances.min()) + neighbourhood
 
-    def _patch(self, t: float, centre: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells of the divided contour that may be nearest to the whole one, or farther than that by `beyond` in m:
-        parameters (n, 2), points (n, 3) in its frame, and radii (n,)."""
-        contour, extent = self.divided, self.whole.extent
-        counts = (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2
-        centres, half = _cells(self._box(t, centre, beyond), counts)
-        values = evaluated(contour, centres, t)
-        longest = [_LONGER * np.linalg.norm(values[:, 1 + a], axis=1).max() for a in range(contour.dimension)]
-        halves = np.tile(half, (len(centres), 1))
-        points = values[:, 0]
-        for _ in range(_DIVISIONS):
-            reaches = sum(longest[a] * halves[:, a] for a in range(contour.dimension))
-            distances = np.linalg.norm(points - centre, axis=1)
-            nearest = float((distances + reaches).min())
-            kept = distances - reaches <= nearest + 2.0 * extent + beyond
-            centres, halves, points, reaches = centres[kept], halves[kept], points[kept], reaches[kept]
-            gap = max(nearest - extent, 0.0)
-            coarse = reaches > max(_FINE * gap, _FINEST * self.bend)
-            if not coarse.any() or len(centres) + 3 * coarse.sum() > _MOST_CELLS:
-                break
-            parts = _divided(centres[coarse], halves[coarse], contour.dimension)
-            fresh = evaluated(contour, parts[0], t)[:, 0]
-            centres = np.concatenate([centres[~coarse], parts[0]])
-            halves = np.concatenate([halves[~coarse], parts[1]])
-            points = np.concatenate([points[~coarse], fresh])
-        reaches = np.asarray(sum(longest[a] * halves[:, a] for a in range(contour.dimension)))
-        return centres, points, reaches
+        def beside(places: list[np.ndarray]) -> float:
+            away = np.ones(len(points), dtype=bool)
+            for place in places:
+                at = frame[:3].T @ (place - frame[ORIGIN])
+                away &= np.linalg.norm(points - at, axis=1) > neighbourhood + reaches
+            return min(float(least[away].min(initial=math.inf)), resolved)
+
+        places = [pair[own] for pair in taken]
+        elsewhere = beside([*places, *(one.points[own] for one in found[:1])])
+        return Nearest(found, beside(places), elsewhere)
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""
@@ -227,65 +216,37 @@ class NearestSearch:
         order = highest[np.argsort(-distances[highest])]
         return [(int(nearest[i]), i) for i in spaced(samples, order, most, _STARTS)]
 
-    def _candidates(
-        self, t: float, parameters: np.ndarray, starts: list[tuple[int, int]]
-    ) -> list[tuple[Candidate, np.ndarray]]:
-        """Stationary points to which Newton's method leads, the nearest first, with the divided contour's points (3,)
-        in the world. starts: places in parameters (n, 2) of that, and samples of the whole one."""
-        whole, (rotation, centre) = self.whole, self.pose()
-        system, single, c = self.system, self._single, self.c
+    def _candidates(self, t: float, starts: list[tuple[int, int]], taken: Sequence[np.ndarray]) -> list[Candidate]:
+        """Stationary points to which Newton's method leads, but those taken, the nearest first. starts: cells and
+        samples of the whole contour."""
+        whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
+        system, single, c, n = self.system, self._single, self.c, len(starts)
         single.q[:], single.v[:] = system.q, system.v
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
-        side = int(system.contact_int[c, SIDE])
-        candidates: list[tuple[float, Candidate, np.ndarray]] = []
-        own, other = slice(2 * self.side, 2 * self.side + 2), slice(2 - 2 * self.side, 4 - 2 * self.side)
-        cells, samples = np.array(starts).T
+        numbers, samples = np.array(starts).T
         # what is inside a ball that stands for a contour is as far from it as its surface
-        targets = (whole.points[samples] - whole.centre) @ rotation.T + centre
-        for place, foot, sample in zip(*self._feet(parameters[cells], targets, t), samples):
-            start = np.zeros(4)
-            start[other] = place
-            if isinstance(whole.contour, Sphere):
-                start[own] = self._facing(foot)
-            else:
-                start[own] = whole.parameters[sample]
-            found = refine(single, t, start, 1, set())
-            if found is None or (found.side not in (0, side) and system.contacts[c].body1.contour.dimension > 0):
-                continue
-            touching = single.frames[:, ORIGIN] + single.derivatives[:2, 0]
-            candidates.append((float(np.linalg.norm(touching[1] - touching[0])), found, touching[1 - self.side]))
-        return [(found, point) for _, found, point in sorted(candidates, key=lambda each: each[0])]
+        cells.targets[:n] = (whole.points[samples] - whole.centre) @ rotation.T + centre
+        cells.feet[:n], cells.counts["feet"] = cells.middles[numbers], n
+        find_feet(cells.address)
+        places = np.zeros((n, 4))
+        own, other = slice(2 * self.side, 2 * self.side + 2), slice(2 - 2 * self.side, 4 - 2 * self.side)
+        places[:, other], places[:, own] = cells.feet[:n], whole.parameters[samples]
+        if isinstance(whole.contour, Sphere):
+            places[:, own] = self._facing(evaluated(self.divided, cells.feet[:n], t)[:, 0])
+        side, same = int(system.contact_int[c, SIDE]), SAME_PLACE * system.contact_real[c, LENGTH]
+        sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
+        every, _ = stationary_points(single, t, places, [1] * n)
+        found = [one for one in every if one.side in sides]
+        found = [one for one in found if not any(np.abs(one.points - place).max() < same for place in taken)]
+        return sorted(found, key=lambda one: float(np.linalg.norm(one.points[1] - one.points[0])))
 
-    def _feet(self, u: np.ndarray, targets: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (n, 2) of the divided contour near u and their points (n, 3), nearer to targets (n, 3) in its
-        frame: Newton's method, in which a surface's curvature counts where it keeps steps short."""
-        contour, k = self.divided, self.divided.dimension
-        low, high = np.array(contour.domain).reshape(k, 2).T
-        u, least = u.copy(), np.full(len(u), math.inf)
-        found, points = u.copy(), np.zeros_like(targets)
-        for _ in range(_FOOT_STEPS):
-            values = evaluated(contour, u, t)
-            away = targets - values[:, 0]
-            squares = np.einsum("ni,ni->n", away, away)
-            nearer = squares < least
-            if not nearer.any():
-                break
-            found[nearer], points[nearer], least[nearer] = u[nearer], values[nearer, 0], squares[nearer]
-            bent = -np.einsum("nai,ni->na", values[:, 3:6], away)[:, [[0, 1], [1, 2]]][:, :k, :k]
-            stretches, axes = np.linalg.eigh(bent)
-            tangents = values[:, 1 : 1 + k]
-            hessian = tangents @ np.swapaxes(tangents, 1, 2)
-            hessian += (axes * np.maximum(stretches, 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2)
-            step = np.linalg.pinv(hessian, hermitian=True) @ (tangents @ away[:, :, None])
-            u[:, :k] = np.clip(u[:, :k] + step[:, :, 0], low, high)
-        return found, points
-
-    def _facing(self, point: np.ndarray) -> tuple[float, float]:
-        """Parameters of the ball that is the whole contour at which it faces a point in the divided one's frame."""
+    def _facing(self, points: np.ndarray) -> np.ndarray:
+        """Parameters (n, 2) of the ball that is the whole contour at which it faces points (n, 3) in the divided one's
+        frame."""
         rotation, centre = self.pose()
-        x, y, z = rotation.T @ (point - centre)
-        return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+        x, y, z = ((points - centre) @ rotation).T
+        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:
@@ -310,11 +271,6 @@ def _cells(box: list[tuple[float, float]] | tuple[tuple[float, float], ...], cou
     return grid(axes), half
 
 
-def _divided(centres: np.ndarray, halves: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    smaller, signs = 0.5 * halves, grid([np.array([-1.0, 1.0])] * dimension)
-    return np.concatenate([centres + smaller * sign for sign in signs]), np.tile(smaller, (len(signs), 1))
-
-
 def _reaches(values: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Radii of cells around samples (n, 10, 3)."""
-    return _LONGER * (half[0] * np.linalg.norm(values[:, 1], axis=1) + half[1] * np.linalg.norm(values[:, 2], axis=1))
+    return LONGER * (half[0] * np.linalg.norm(values[:, 1], axis=1) + half[1] * np.linalg.norm(values[:, 2], axis=1))

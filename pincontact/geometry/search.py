@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -13,10 +12,9 @@ import scipy
 
 from ..contours import Contour
 from ..errors import SingularContactError
-from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
+from ..layout import CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SAME_PLACE, SINGULAR
 from ..workspace import Workspace
-from .chart_changes import move_charts
-from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
+from .location import BRANCHES, NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES, ON_CURVE
 from .planar import pose_of
 
@@ -34,10 +32,6 @@ _LEAST_WINDOW = 1e-3
 # Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
 # taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
-# Two candidates closer than this (relative to the contact's length) are one.
-SAME = 1e-6
-# Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
-_SOLVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,8 +46,8 @@ class Candidate:
         Signed distance in m along the normal of the side assumed.
     side : int
         The side of e_3 on which body 1 bends away, +1 or -1, 0 where the shapes do not decide.
-    point : (3,) array
-        Point on body 2 in m, world frame.
+    points : (2, 3) array
+        Points on body 1 and body 2 in m, world frame.
     determinant_sign, branch : int
         Which solution of the location equations it is.
     charts : (int, int)
@@ -63,10 +57,20 @@ class Candidate:
     location: np.ndarray
     gap: float
     side: int
-    point: np.ndarray
+    points: np.ndarray
     determinant_sign: int
     branch: int
     charts: tuple[int, int]
+
+    @property
+    def point(self) -> np.ndarray:
+        """The point (3,) on body 2."""
+        return self.points[1]
+
+    def is_at(self, other: Candidate, length: float) -> bool:
+        """Whether it is the same point as another one, as far as that is known for a contact of this length in m."""
+        near = abs(self.gap - other.gap) < SAME_PLACE * length
+        return near and bool(np.linalg.norm(self.point - other.point) < SAME_PLACE * length)
 
 
 def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
@@ -79,20 +83,22 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
     contact = system.contacts[0]
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     complete = bool(np.isfinite([*guess[:k1], *guess[2 : 2 + k2]]).all())
-    statuses: set[int] = set()
     system.contact_int[0, DETERMINANT_SIGN] = 0
     form = int(system.contact_int[0, CLOSED_FORM])
     if form != NO_CLOSED_FORM:
         start = np.where(np.isnan(guess), 0.0, guess)
-        starts = [(start, branch) for branch in BRANCHES[form]]
+        branches = list(BRANCHES[form])
+        starts = np.tile(start, (len(branches), 1))
     else:
-        starts = [(start, 1) for start in ([guess] if complete else _seeds(system, t, guess))]
+        starts = np.array([guess] if complete else _seeds(system, t, guess)).reshape(-1, 4)
+        branches = [1] * len(starts)
     found: list[Candidate] = []
-    for inside in (True, False):
-        for start, branch in starts if inside or (beyond and not found) else []:
-            candidate = refine(system, t, start, branch, statuses, inside)
-            if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
-                found.append(candidate)
+    every, statuses = stationary_points(system, t, starts, branches)
+    if beyond and not every:
+        every, _ = stationary_points(system, t, starts, branches, inside=False)
+    for candidate in every:
+        if not any(candidate.is_at(c, system.contact_real[0, LENGTH]) for c in found):
+            found.append(candidate)
     if complete and found:
         # of a formula's solutions, the guess names one
         found = [min(found, key=lambda c: _moved(system, c, guess, t))]
@@ -115,114 +121,33 @@ def _moved(system: Workspace, found: Candidate, guess: np.ndarray, t: float) -> 
     return way
 
 
-def _is_same(a: Candidate, b: Candidate, system: Workspace) -> bool:
-    length = system.contact_real[0, LENGTH]
-    return abs(a.gap - b.gap) < SAME * length and bool(np.linalg.norm(a.point - b.point) < SAME * length)
+def stationary_points(
+    system: Workspace, t: float, starts: np.ndarray, branches: Sequence[int], inside: bool = True
+) -> tuple[list[Candidate], set[int]]:
+    """What Newton's method finds from starts (n, 4), in the first charts, in their order, and how it went; inside:
+    without what is beyond finite domains. branches: of closed forms."""
+    integers, reals = system.find_stationary(t, starts, np.array(branches, dtype=np.int64))
+    found = (
+        Candidate(row[:4], row[4], ints[1], row[5:].reshape(2, 3), ints[2], branch, (ints[3], ints[4]))
+        for ints, row, branch in zip(integers.tolist(), reals, branches)
+        if ints[0] == OK
+    )
+    return [one for one in found if _come_back(system, one) or not inside], set(integers[:, 0].tolist())
 
 
-def refine(
-    system: Workspace, t: float, start: np.ndarray, branch: int, statuses: set[int], inside: bool = True
-) -> Candidate | None:
-    """Newton from a start (in the first charts); None where it fails, or leaves a finite domain and must be inside.
-    statuses: how it went is added."""
-    contact = system.contacts[0]
-    integers = system.contact_int[0]
-    integers[BRANCH] = branch
-    charts = system.side_int[0:2, CHART]
-    parameters = slice(system.nq + system.nv, system.nq + system.nv + 4)
-    for wanted in product(contact.body1.contour.charts, contact.body2.contour.charts):
-        # a start near a pole is better off in another chart, and one right at it fails in its own
-        charts[:] = wanted
-        system.location[0] = np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
-        system.state[parameters] = start
-        if wanted == (0, 0) and system.charted:
-            charts[:] = 0
-            move_charts(system.address)
-            system.location[0] = system.state[parameters]
-        status = system.evaluate_kinematics(t)
-        statuses.add(status)
-        if status == OK:
-            break
-    else:
-        return None
-    if system.charted:
-        system.state[parameters] = system.location[0]
-        if move_charts(system.address):
-            system.location[0] = system.state[parameters]
-            if system.evaluate_kinematics(t) != OK:
-                return None
-    if not _is_solved(system):
-        return None
-    location = system.location[0].copy()
-    for side, contour, u in ((0, contact.body1.contour, location[:2]), (1, contact.body2.contour, location[2:])):
-        for a in range(contour.dimension):
-            if charts[side] != 0:
-                continue
-            low, high = contour.domain[a]
+def _come_back(system: Workspace, found: Candidate) -> bool:
+    """Take periodic coordinates back into their domains; whether all others are within theirs."""
+    contact, within = system.contacts[0], True
+    for side, contour in enumerate((contact.body1.contour, contact.body2.contour)):
+        if found.charts[side] != 0:
+            continue
+        u = found.location[2 * side :]
+        for a, (low, high) in enumerate(contour.domain):
             if contour.periodic[a]:
                 u[a] -= (high - low) * math.floor((u[a] - low) / (high - low))
-            elif inside and not low <= u[a] <= high:
-                return None
-    bending = _bending_side(system)
-    if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE:
-        bending = -branch
-    gap = float(system.gaps[0, 0])
-    if integers[PATTERN] == ON_CURVE:
-        gap = float(np.hypot(*system.gaps[0]))
-    elif bending * integers[SIDE] < 0:
-        gap = -gap
-    point = system.frames[1, 3] + system.derivatives[1, 0]
-    sign = int(np.sign(system.contact_real[0, CONDITION]))
-    return Candidate(location, gap, bending, point.copy(), sign, branch, (int(charts[0]), int(charts[1])))
-
-
-def _is_solved(system: Workspace) -> bool:
-    """Whether C1, but for the gap, and C2 hold for unit tangents too."""
-    contact = system.contacts[0]
-    if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
-        return True
-    pattern = system.contact_int[0, PATTERN]
-    first, second = system.derivatives[0], system.derivatives[1]
-    tangents1 = first[1 : 1 + contact.body1.contour.dimension]
-    tangents2 = second[1 : 1 + contact.body2.contour.dimension]
-    difference = (system.frames[1, 3] - system.frames[0, 3]) + (second[0] - first[0])
-    tolerance = _SOLVED * max(system.contact_real[0, LENGTH], float(np.linalg.norm(difference)))
-    across = [*tangents2, *(tangents1 if pattern == CROSSING_CURVES else ())]
-    if any(not abs(tangent @ difference) <= tolerance * np.linalg.norm(tangent) for tangent in across):
-        return False
-    if pattern in (CROSSING_CURVES, ON_CURVE):
-        return True
-    normal = system.basis[0, 2]
-    return all(abs(tangent @ normal) <= _SOLVED * np.linalg.norm(tangent) for tangent in tangents1)
-
-
-def _bending_side(system: Workspace) -> int:
-    """Sign of e_3 . (curvature of body 1 - curvature of body 2): the side towards which body 1 bends away.
-
-    0 for points, for crossing curves, and where the relative curvature has no definite sign.
-    """
-    contact = system.contacts[0]
-    k1 = contact.body1.contour.dimension
-    if k1 == 0 or system.contact_int[0, PATTERN] == CROSSING_CURVES:
-        return 0
-    first, second = system.derivatives[0], system.derivatives[1]
-    e3 = -system.contact_int[0, SIDE] * system.basis[0, 2]
-
-    def form(derivatives: np.ndarray, k: int) -> np.ndarray:
-        rows = [[3, 4], [4, 5]]
-        return np.array([[derivatives[rows[a][b]] @ e3 for b in range(k)] for a in range(k)])
-
-    k2 = contact.body2.contour.dimension
-    tangents1, tangents2 = first[1 : 1 + k1].T, second[1 : 1 + k2].T
-    # body 1's tangents in parameters of body 2
-    map12 = np.linalg.lstsq(tangents2, tangents1, rcond=None)[0]
-    relative = form(first, k1) - map12.T @ form(second, k2) @ map12
-    eigenvalues = np.linalg.eigvalsh(relative)
-    if eigenvalues[0] > 0.0:
-        return 1
-    if eigenvalues[-1] < 0.0:
-        return -1
-    return 0
+            else:
+                within = within and low <= u[a] <= high
+    return within
 
 
 def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:

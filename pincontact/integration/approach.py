@@ -81,11 +81,11 @@ def bound_speed(numbers, one, two, from_origin, normal, vectors):
 
 @separate_kernel(NOTHING, SYSTEM.type)
 def bound_speeds(system):
-    """`bound_speed` of all contacts that are open and unilateral, from the last evaluation."""
+    """`bound_speed` of all unilateral contacts, from the last evaluation."""
     contact_int, contact_real = system.contact_int, system.contact_real
     frames, derivatives = system.frames, system.derivatives
     for c in range(system.sizes.nc):
-        if contact_int[c, MODE] == FREE and contact_int[c, UNILATERAL] != 0:
+        if contact_int[c, UNILATERAL] != 0:
             one = 2 * c + contact_int[c, WHOLE]
             two, point, normal = 4 * c + 1 - one, derivatives[one, 0], system.basis[c, 2]
             bound_speed(contact_real[c], frames[one], frames[two], point, normal, system.vectors)

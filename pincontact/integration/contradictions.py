@@ -8,7 +8,7 @@ from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
-from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
+from .results import FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
@@ -47,6 +47,12 @@ def jump_into(t: float, name: str) -> Stop:
         f"t = {t:.9g} s: the bodies of contact {name!r} are inside each other at once: a motion jumps, or they got "
         "there far from where they were nearest, which a smaller max_step shows",
     )
+
+
+def touch_elsewhere(t: float, name: str) -> Stop:
+    """The Stop where the bodies of this closed contact touch at a second place."""
+    code, reason = FAILURES[TOUCHES_TWICE]
+    return Stop(code, f"t = {t:.9g} s: contact {name!r}: {reason}")
 
 
 def contradiction(system: System, t: float) -> str:

@@ -292,14 +292,15 @@ class Driver:
         return INTEGRATE
 
     def _foresee(self, t: float, task: int, may_touch: bool) -> int:
-        """Bound the next step by what open contacts may hit in it; how far the compiled steps may then go.
+        """Bound the next step by what bodies may touch in it; how far the compiled steps may then go.
 
         may_touch: whether these have come back because some may touch.
         """
         scalars, opened = self.system.scalars, self.transitions.open
         scalars["max_step"] = self._max_step
-        if not opened.are_any():
+        if not opened.are_any(t):
             return task
+        task = INTEGRATE_ONE_STEP if task == INTEGRATE else task
         if self._thrown:
             # the last evaluation was of a state that is not accepted
             self._thrown = False

@@ -38,7 +38,7 @@ from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, T
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED, WITH_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
 from .reports import least_conditioned
-from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FLIES_THROUGH, Stop
+from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FLIES_THROUGH, TOUCHES_TWICE, Stop
 from .run_system import RunSystem
 from .steps import run_task
 
@@ -236,9 +236,11 @@ class MoreauStep:
         while status == GOING_ON or self.steps < last:
             if self._looks:
                 # what opens in a step is looked at before the next one
-                steps = self.look() if FREE in self.system.modes.tolist() else 1
+                steps = self.look()
                 if steps == 0:
-                    return FLIES_THROUGH
+                    return self.trouble
+                if FREE not in self.system.modes.tolist():
+                    steps = 1
                 self._last[()] = min(last, self.steps + steps)
             status = self._run(STEP)
             if status not in (OK, GOING_ON):
@@ -307,12 +309,12 @@ class MoreauStep:
     # ---------------------------------------------------------------- open contacts
 
     def look(self) -> int:
-        """How many steps of the run may be taken before open contacts are looked at again: all, where there are none
-        that may be elsewhere; none, where a step may go through what is there."""
-        if not (self._looks and FREE in self.system.modes.tolist()):
-            return MANY_STEPS
+        """How many steps of the run may be taken before the next look at what bodies may touch: all, where that is
+        nothing; none, where they cannot go on, see `trouble`."""
         size = self._numbers["step_size"].item()
         t = self._numbers["run_start"].item() + self.steps * size
+        if not (self._looks and self._open.are_any(t)):
+            return MANY_STEPS
         behind = self.step_arrays.behind
         self._open.apart[:] = behind[: self.system.nc] == 0
         steps = self._open.look(t, size, self.touch_time >= 0.0)
@@ -328,9 +330,14 @@ class MoreauStep:
         if self._looks and FREE in self.system.modes.tolist() and self._open.follow(t):
             self._run(RELOCATE, t)
 
-    def flew_through(self, t: float) -> bool:
-        """Whether the last step, which ended at t, carried an open contact through what was near, unnoticed."""
-        return self._looks and self._open.went_through(t, self.size, self.touch_time >= 0.0)
+    def goes_wrong(self, t: float) -> bool:
+        """Whether the last step, which ended at t, carried bodies through what was near, or into it, see `trouble`."""
+        return self._looks and self._open.goes_wrong(t, self.size, self.touch_time >= 0.0)
+
+    @property
+    def trouble(self) -> int:
+        """Why steps cannot go on."""
+        return self._open.trouble
 
     # ---------------------------------------------------------------- what there is to be told
 
@@ -392,8 +399,8 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == CONTOUR_ENDS:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
-        elif status == FLIES_THROUGH:
-            where = f"contact {system.contacts[self._open.hasty].name!r}: "
+        elif status in (FLIES_THROUGH, TOUCHES_TWICE):
+            where = f"contact {system.contacts[self._open.where].name!r}: "
         elif status == CLOSED_APART:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))

@@ -18,7 +18,7 @@ from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS, SLIP
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
 from .reports import left_behind
-from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
+from .results import CONTOUR_ENDS, FINISHED, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import asked_once, crossing_between
 from .step_control import SLIVER
@@ -133,14 +133,14 @@ class MoreauDriver:
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
             elif why == AT_LIMIT and ahead == 0:
-                self._check(FLIES_THROUGH, t)
+                self._check(step.trouble, t)
             elif why not in (GOING_ON, AT_END, AT_LIMIT):
                 self._check(why, t)
             if self.progress is not None:
                 i = step.steps
                 self.progress(end if i == count else start + i * size)
-        if step.flew_through(end):
-            self._check(FLIES_THROUGH, end)
+        if step.goes_wrong(end):
+            self._check(step.trouble, end)
 
     def _plan(self, start: float, end: float) -> int:
         """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""

@@ -1,45 +1,40 @@
 """Open contacts: how far a step may go before they could touch, the nearest points at which they would, and on which
-side of each other their bodies are."""
+side of each other their bodies are; and closed ones, whose bodies may touch at a second place."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
-from ..geometry.nearest import NearestSearch, Whole, is_searched, least_whole
+from ..geometry.nearest import is_searched
 from ..geometry.patterns import CROSSING_CURVES
-from ..geometry.search import SAME
+from ..geometry.single_touch import touches_once
 from ..layout import (
-    APPROACH_SPEED,
     BENDING,
     BRANCH,
     CHART,
     CLOSED_FORM,
     DETERMINANT_SIGN,
     DOMAIN,
-    EXTENT,
-    FLAT,
     FREE,
-    HULL_X,
-    HULL_Z,
     LENGTH,
     NOTHING_THERE,
     PATTERN,
+    SAME_PLACE,
     SPEEDING,
-    TURNING,
     UNILATERAL,
-    WHOLE,
 )
 from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
+from .contradictions import touch_elsewhere
+from .nearness import Nearness, Place, of_same_contours
+from .results import FLIES_THROUGH, TOUCHES_TWICE
 from .stages import load_state
 from .steps import BOUND_SPEEDS
 
@@ -47,18 +42,15 @@ if TYPE_CHECKING:
     from ..geometry.search import Candidate
     from .run_system import RunSystem
 
-# How far bodies may move within a step where they are near, in radii of curvature, and how far they may turn, in rad:
-# gaps are then seen wherever they may be negative.
-_NEAR, _TURN = 0.25, 2.0
-# Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
-_INSTANTS, _CHANGE = 16, 0.75
+# How far bodies may turn within a step where they are near, in rad: gaps are then seen wherever they may be negative.
+_TURN = 2.0
 # A step that took bodies this many times as far as it was to is taken again.
 _TOO_FAR = 2.0
-# Contact coordinates (4,), branch, sign of the determinant, and charts of an open contact.
-_Place = tuple[np.ndarray, int, int, tuple[int, int]]
 # How far inside a stationary pair of points may be, as a multiple of how far bodies went since they were apart: where
 # one enters beside it, farther.
 _DEEPER = 4.0
+# Constant steps are looked at beside closed contacts after bodies have moved this part of how far they may near others.
+_LATE = 0.05
 # Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
 # nothing that is as thick as its radius of curvature says.
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
@@ -66,113 +58,12 @@ MANY_STEPS, _THROUGH = 1_000_000, 8.0
 _WAY_STATIONS, _GRAZES = 16, 1e-2
 
 
-class _Open:
-    """One contact while it is open. searched: whether its nearest points are looked for; near: how far in m bodies may
-    move in a step where they are near each other."""
-
-    def __init__(self, system: RunSystem, c: int, t: float) -> None:
-        self.system, self.c, self.contact = system, c, system.contacts[c]
-        self.search: NearestSearch | None = None
-        # the smaller one of bounded contours, and its side
-        self.whole: Whole | None = None
-        self.side = 0
-        one, two = self.contact.body1.contour, self.contact.body2.contour
-        self.near = math.inf
-        bodies = self.contact.body1, self.contact.body2
-        # sides whose contours change with time
-        self.changing = [2 * c + i for i, body in enumerate(bodies) if body.contour.time_dependent]
-        self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
-        if is_searched(system, c):
-            with suppress(ValueError):
-                self.search = NearestSearch(system, c, t)
-        if self.search is not None:
-            self.near = _NEAR * self.search.bend
-        if self.search is not None:
-            self.side, self.whole = self.search.side, self.search.whole
-        elif (found := least_whole((one, two), t)) is not None:
-            self.side, self.whole = found
-        form = system.contact_int[c, CLOSED_FORM]
-        if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
-            # within the other one there is nothing to fly through
-            beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
-            self.near = _NEAR * (two.size + (one.size if beside else 0.0))
-        numbers = system.contact_real[c]
-        numbers[EXTENT], system.contact_int[c, WHOLE] = -1.0, self.side
-        if self.whole is not None:
-            numbers[HULL_X : HULL_Z + 1], numbers[EXTENT] = self.whole.centre, self.whole.extent
-        # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
-        # they may touch
-        self.is_plain = self.search is None and math.isinf(self.near) and not self.is_driven
-        numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
-        # distances that the last search has found, and the pose at which it did
-        self.distance = self.elsewhere = -math.inf
-        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
-        # gap and place that `follow` has left
-        self.gap: float = math.nan
-        self.place: _Place | None = None
-
-    def speed(self, system: RunSystem) -> tuple[float, float]:
-        """Bounds of the speed in m/s at which points of the smaller contour move in the frame of the other body, and of
-        its turning, in rad/s, from `bound_speeds`."""
-        speed, turning = system.contact_real[self.c, APPROACH_SPEED : TURNING + 1].tolist()
-        for side in self.changing:
-            speed += float(np.linalg.norm(system.derivatives[side, 6]))
-        return speed, turning
-
-    def driven(self, system: RunSystem, t: float, h: float) -> tuple[float, float]:
-        """The largest speed in m/s at which drives move points of one contour near the other one up to t + h, and the
-        longest step in s in which their velocities change by no more than they are."""
-        speed = change = 0.0
-        if not self.is_driven:
-            return 0.0, math.inf
-        centre = system.frames[2 * self.c + self.side, ORIGIN]
-        for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
-            contour, u = body.contour, system.location[self.c, 2 * (side % 2) :][: body.contour.dimension]
-            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN]))
-            reach += self.whole.extent if self.whole is not None else 0.0
-            for i in range(_INSTANTS if body.motion is not None or contour.time_dependent else 0):
-                when = t + h * (i + 0.5) / _INSTANTS
-                if body.motion is not None:
-                    row = body.motion.evaluate(when)
-                    speed = max(speed, float(np.linalg.norm(row[12:15]) + reach * np.linalg.norm(row[15:18])))
-                    change = max(change, float(np.linalg.norm(row[18:21]) + reach * np.linalg.norm(row[21:24])))
-                if contour.time_dependent:
-                    values = contour.evaluate(u.tolist(), when, int(system.side_int[side, CHART]))
-                    speed = max(speed, float(np.linalg.norm(values[F_T])))
-                    change = max(change, float(np.linalg.norm(values[F_TT])))
-        return speed, _CHANGE * speed / change if change > 0.0 else math.inf
-
-    def moved(self, t: float) -> float:
-        """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most."""
-        search = self.search
-        if search is None:
-            return 0.0
-        if self.changing:
-            return 0.0 if t == self.time else math.inf
-        rotation, centre = search.pose()
-        turned = float(np.linalg.norm(rotation - self.rotation)) / math.sqrt(2.0)
-        return float(np.linalg.norm(centre - self.centre)) + turned * search.whole.extent
-
-    def is_followed(self, t: float) -> bool:
-        """Whether its gap may be that of the nearest points, for all that is known from the last time."""
-        gap = float(self.system.gaps[self.c, 0])
-        return abs(gap - self.gap) <= self.moved(t) + SAME * self.system.contact_real[self.c, LENGTH]
-
-    def follow(self, t: float) -> None:
-        """Take where it is as where bodies are nearest; what the last search has found counts no more."""
-        system, c, integers = self.system, self.c, self.system.contact_int[self.c]
-        assert self.search is not None
-        self.distance = self.elsewhere = -math.inf
-        (self.rotation, self.centre), self.time, self.gap = self.search.pose(), t, float(system.gaps[c, 0])
-        charts = (int(system.side_int[2 * c, CHART]), int(system.side_int[2 * c + 1, CHART]))
-        self.place = system.location[c].copy(), int(integers[BRANCH]), int(integers[DETERMINANT_SIGN]), charts
-
-
 class OpenContacts:
-    """What is known of a system's open contacts between its steps.
+    """What is known between its steps of a system's contacts that may touch anywhere: of open ones, and beside closed
+    ones. Contacts of the same contours are at different places: where one of them is, no other one is looked for.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
-    hasty: the contact for which `look` has last found the step too long.
+    trouble, where: why `look` has found that steps cannot go on, and at which contact.
     relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
@@ -183,16 +74,20 @@ class OpenContacts:
         self.passed: set[int] = set()
         # those that were inside at the start, and have not come out since
         self._shallow: set[int] = set()
-        self._open: dict[int, _Open] = {}
+        # open contacts, and what is beside closed ones
+        self._known: dict[tuple[int, bool], Nearness] = {}
+        # closed contacts whose bodies may touch elsewhere are among these
+        self._searched = [c for c in range(system.nc) if system.contact_int[c, UNILATERAL] and is_searched(system, c)]
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
-        self.hasty = 0
+        self.trouble, self.where = FLIES_THROUGH, 0
         self.relocated: set[int] = set()
         self.is_near = False
-        self._controlled: list[int] = []
+        self._watched: list[Nearness] = []
+        self._free: list[bool] | None = None if self._searched else [False] * system.nc
         self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
 
@@ -229,13 +124,13 @@ class OpenContacts:
 
     def begin_step(self, t: float, h: float) -> tuple[float, bool]:
         """The longest step in s from the accepted state, which is evaluated, of those up to h; and whether anything
-        may touch in it."""
-        system, contacts = self.system, self._controlled
-        known_of = [self._known(c, t) for c in contacts]
+        may touch in it. Raises Stop where bodies are inside each other beside a closed contact."""
+        system = self.system
         system.run(BOUND_SPEEDS)
         self._allowed.clear()
         longest, near = math.inf, False
-        for c, known in zip(contacts, known_of):
+        for known in self._watched:
+            c = known.c
             speed, turning = known.speed(system)
             drive, follows = known.driven(self.system, t, h)
             speed += drive
@@ -245,8 +140,9 @@ class OpenContacts:
             distance = self._distance(known, t)
             if known.search is not None and h > time_to_cover(distance, speed, acceleration):
                 moved = known.moved(t)
-                if moved > 0.0 and (distance >= known.near or moved + known.near > known.elsewhere):
-                    self.find(t, c)
+                far = not known.is_open or distance >= known.near or moved + known.near > known.elsewhere
+                if moved > 0.0 and far:
+                    self._search(t, known)
                     distance = self._distance(known, t)
             self._allowed[c] = allowed = max(distance, known.near)
             free = time_to_cover(distance, speed, acceleration)
@@ -261,6 +157,13 @@ class OpenContacts:
         self.is_near = near
         return longest, near
 
+    def _search(self, t: float, known: Nearness) -> None:
+        """Look for nearest points at the accepted state, which is evaluated."""
+        if known.is_open:
+            self.find(t, known.c)
+        elif known.enters(t) is not None:
+            raise touch_elsewhere(t, known.contact.name)
+
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
         integers = self.system.contact_int[: self.system.nc]
@@ -271,18 +174,25 @@ class OpenContacts:
     def look(self, t: float, h: float, touched: np.ndarray) -> int:
         """How many steps of size h from the accepted state at t, which is evaluated, may go before the next look; zero
         where one may go through what is there, or the last one did. touched: (nc,) which contacts touched in that."""
-        if self.went_through(t, h, touched):
+        if self._went_through(t, h, touched):
             return 0
         steps = MANY_STEPS
-        known_of = [(c, self._known(c, t)) for c in self._list()]
         self.system.run(BOUND_SPEEDS)
-        for c, known in known_of:
+        for known in self._watched:
             if math.isinf(known.near):
                 continue
+            c = known.c
             speed, _ = known.speed(self.system)
             speed += known.driven(self.system, t, h)[0]
             acceleration, distance = SAFETY * self._gravity, self._distance(known, t)
             way = speed * h + 0.5 * acceleration * h * h
+            if not known.is_open:
+                late = _LATE * known.near
+                if known.moved(t) + way > max(known.distance, late) and self._touches_twice(t, known):
+                    return 0
+                certain = max(known.distance - known.moved(t), late)
+                steps = min(steps, max(int(min(time_to_cover(certain, speed, acceleration) / h, MANY_STEPS)), 1))
+                continue
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
                 if lost or known.moved(t) + way > known.elsewhere:
@@ -293,7 +203,7 @@ class OpenContacts:
                 distance = self._distance(known, t)
             # what is behind a contour goes through it
             if self.apart[c] and way > max(distance, _THROUGH * known.near):
-                self.hasty = c
+                self.trouble, self.where = FLIES_THROUGH, c
                 return 0
             if self.apart[c] and way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
@@ -302,11 +212,23 @@ class OpenContacts:
             steps = min(steps, max(int(min(time_to_cover(max(certain, 0.0), speed, acceleration) / h, MANY_STEPS)), 1))
         return steps
 
+    def _touches_twice(self, t: float, known: Nearness) -> bool:
+        """Whether bodies are inside each other beside a closed contact; that is why steps cannot go on then."""
+        touches = known.enters(t) is not None
+        if touches:
+            self.trouble, self.where = TOUCHES_TWICE, known.c
+        return touches
+
+    def goes_wrong(self, t: float, h: float, touched: np.ndarray) -> bool:
+        """Whether the last step, which is long, carried bodies through each other, or inside each other."""
+        beside = (known for known in self._watched if not known.is_open and known.moved(t) > known.distance)
+        return self._went_through(t, h, touched) or any(self._touches_twice(t, known) for known in beside)
+
     def forget_way(self) -> None:
         """No step has led to the state from which the next one goes."""
         self._far.clear()
 
-    def went_through(self, t: float, h: float, touched: np.ndarray) -> bool:
+    def _went_through(self, t: float, h: float, touched: np.ndarray) -> bool:
         """Whether an open contact that did not touch has been closed on the straight way of the last step, which was
         long."""
         far, self._far = self._far, {}
@@ -323,18 +245,19 @@ class OpenContacts:
                 system.evaluate_kinematics(t - (1.0 - part) * h)
                 inside = system.contact_real[c, DOMAIN] >= 0.0
                 if inside and system.gaps[c, 0] < -_GRAZES * system.contact_real[c, LENGTH]:
-                    self.hasty, through = c, True
+                    self.trouble, self.where, through = FLIES_THROUGH, c, True
         system.stage_state[:] = end
         load_state(system.address)
         system.evaluate_kinematics(t)
         return through
 
-    def _known(self, c: int, t: float) -> _Open:
-        if c not in self._open:
-            self._open[c] = _Open(self.system, c, t)
-        return self._open[c]
+    def _nearness(self, c: int, t: float) -> Nearness:
+        key = c, bool(self.system.modes[c] == FREE)
+        if key not in self._known:
+            self._known[key] = Nearness(self.system, c, t)
+        return self._known[key]
 
-    def _distance(self, known: _Open, t: float) -> float:
+    def _distance(self, known: Nearness, t: float) -> float:
         """How far bodies are apart, at least, in m; zero where that is not known."""
         system, c = self.system, known.c
         if known.search is not None:
@@ -345,11 +268,11 @@ class OpenContacts:
 
     def may_stand(self, t: float, step: float) -> bool:
         """Whether the trial step to the state at t, which is evaluated, went no further than it was to, and past
-        nothing; where it did not, the next one is shorter."""
+        nothing; where it did not, the next one is shorter. Raises Stop where bodies touch beside a closed contact."""
         system = self.system
         system.run(BOUND_SPEEDS)
-        for c, allowed in self._allowed.items():
-            known = self._open[c]
+        for known in self._watched:
+            c, allowed = known.c, self._allowed[known.c]
             speed, _ = known.speed(self.system)
             drive, _ = known.driven(self.system, t - step, step)
             speed += drive
@@ -358,32 +281,47 @@ class OpenContacts:
             if way > _TOO_FAR * allowed:
                 self._cut = 0.5 * step
                 return False
+            if not known.is_open:
+                entered = known.enters(t) if known.moved(t) > known.distance else None
+                if entered is None:
+                    continue
+                if entered.gap > -LEAPS * system.contact_real[c, LENGTH]:
+                    raise touch_elsewhere(t, known.contact.name)
+                self._cut = 0.5 * step
+                return False
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
-                candidates = known.search.search(t).candidates
+                candidates = known.look(t).candidates
                 if any(-_DEEPER * way < found.gap < 0.0 and not self._is_present(c, found) for found in candidates):
                     self._cut = 0.5 * step
                     return False
         return True
 
-    def are_plain(self, t: float) -> bool:
-        """Whether all open contacts are such that compiled steps can tell how long they stay apart."""
-        return all(self.apart[c] and self._known(c, t).is_plain for c in self._controlled)
+    def are_plain(self) -> bool:
+        """Whether all that is watched is such that compiled steps can tell how long it stays apart."""
+        return all(known.is_plain and self.apart[known.c] for known in self._watched)
 
-    def are_any(self) -> bool:
-        """Whether there are open contacts. No error is controlled in where they are, which matters to nobody."""
-        contacts = self._list() if FREE in self.system.modes.tolist() else []
-        if contacts != self._controlled:
-            self._control(contacts)
-        return bool(contacts)
+    def are_any(self, t: float) -> bool:
+        """Whether anything is to be watched from the accepted state at t, which is evaluated. No error is controlled in
+        where open contacts are, which matters to nobody."""
+        free = [mode == FREE for mode in self.system.modes.tolist()]
+        if free != self._free:
+            self._begin_watch(t, free)
+        return bool(self._watched)
 
-    def _control(self, contacts: list[int]) -> None:
-        self.is_near, self._controlled = False, contacts
-        system = self.system
-        first = system.nq + system.nv
+    def _begin_watch(self, t: float, free: list[bool]) -> None:
+        """Watch what there is where these contacts are open."""
+        system, self._free, self.is_near = self.system, free, False
+        first, contacts = system.nq + system.nv, self._list()
         system.absolute[first : first + 4 * system.nc] = self._absolute[first : first + 4 * system.nc]
         for c in contacts:
             system.absolute[first + 4 * c : first + 4 * c + 4] = 0.0
+        for c in self._searched:
+            # one of them watches for all of the same contours
+            others = of_same_contours(system, c)
+            if not (free[c] or any(free[i] or i < c for i in others) or touches_once(system, c)):
+                contacts.append(c)
+        self._watched = [self._nearness(c, t) for c in contacts]
 
     # ---------------------------------------------------------------- nearest points
 
@@ -391,14 +329,10 @@ class OpenContacts:
         """Look for the nearest points of contact c at the evaluated state; None where they are not others than before,
         which are then in `system.state`. entered: by how much in m bodies may have got inside each other; where they
         have, is nearest."""
-        system, known = self.system, self._open[c]
-        search = known.search
-        assert search is not None
-        nearest = search.search(t)
-        known.rotation, known.centre = search.pose()
-        known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
-        inside = [found for found in nearest.candidates if -entered < found.gap < 0.0]
-        found = min(inside, key=lambda each: each.gap) if inside else nearest.candidate
+        system, known = self.system, self._nearness(c, t)
+        candidates = known.find(t)
+        inside = [found for found in candidates if -entered < found.gap < 0.0]
+        found = min(inside, key=lambda each: each.gap) if inside else next(iter(candidates), None)
         if found is None or self._is_present(c, found):
             return None
         if not inside and system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
@@ -408,7 +342,7 @@ class OpenContacts:
         self.relocated.add(c)
         return found
 
-    def _put(self, c: int, place: _Place) -> None:
+    def _put(self, c: int, place: Place) -> None:
         """Have contact c elsewhere."""
         location, branch, sign, charts = place
         system, first = self.system, self.system.nq + self.system.nv + 4 * c
@@ -422,7 +356,7 @@ class OpenContacts:
         changed by more than the bodies have moved since."""
         system, were_elsewhere = self.system, False
         for c in self._list():
-            known = self._known(c, t)
+            known = self._nearness(c, t)
             if known.search is None:
                 continue
             if not known.is_followed(t):
@@ -448,10 +382,10 @@ class OpenContacts:
         self.passed.add(c)
         if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
             return True
-        search = self._known(c, t).search
-        if search is None:
+        known = self._nearness(c, t)
+        if known.search is None:
             return False
-        found = search.search(t).candidate
+        found = known.look(t).candidate
         if found is not None and self._is_present(c, found):
             return found.gap > 0.0
         self.find(t, c)
@@ -459,7 +393,7 @@ class OpenContacts:
 
     def _is_present(self, c: int, found: Candidate) -> bool:
         """Whether a candidate is where contact c is."""
-        system, same = self.system, SAME * self.system.contact_real[c, LENGTH]
+        system, same = self.system, SAME_PLACE * self.system.contact_real[c, LENGTH]
         if not abs(system.gaps[c, 0] - found.gap) < same:
             # elsewhere, or on another side of body 1
             return False

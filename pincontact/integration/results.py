@@ -25,9 +25,9 @@ GAP_TOLERANCE = 10.0
 OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while some slide"
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
-# contour, or one ends apart; constraints on velocities contradict each other; an open
-# contact may go, or has gone, through what is near.
-CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH = 50, 51, 52, 53
+# contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
+# through what is near; the bodies of a closed one touch elsewhere, too.
+CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE = 50, 51, 52, 53, 54
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -40,6 +40,10 @@ FAILURES = {
     CONTRADICTION: (NO_CONTACT_FORCE, "velocity constraints cannot be met together"),
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
     FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
+    TOUCHES_TWICE: (
+        SINGULAR_CONTACT,
+        "the bodies touch at a second place: declare another contact of these two contours, which starts open",
+    ),
 }
 
 

@@ -325,4 +325,4 @@ class Transitions:
         """Whether compiled steps can tell how long open contacts stay apart, and nothing else is to be looked at."""
         penetration = self.penetration
         watched = penetration.contacts or penetration.barely_open or penetration.thrown_off or self.system.ng
-        return not watched and self.open.are_plain(t)
+        return not watched and self.open.are_plain()

@@ -1,0 +1,164 @@
+"""Stationary points of the distance between two contours: Newton's method from a start, and what it has found."""
+
+from __future__ import annotations
+
+import math
+
+from ..arrays import array_entry
+from ..contours.base import F_11, F_12, F_22
+from ..geometry.carriers import ORIGIN
+from ..geometry.chart_changes import change_charts
+from ..geometry.location import DIFFERENCE, NO_CLOSED_FORM, ROUND_ON_PLANE
+from ..geometry.patterns import CROSSING_CURVES, ON_CURVE
+from ..geometry.small import dot, norm
+from ..jit import CALLED, INTEGER, REAL, kernel
+from ..layout import (
+    BRANCH,
+    CHART,
+    CLOSED_FORM,
+    CONDITION,
+    K1,
+    K2,
+    LENGTH,
+    LOCATION_FAILED,
+    OK,
+    PATTERN,
+    SIDE,
+    system_at,
+)
+from .kinematics import contact_kinematics
+
+# Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
+_SOLVED = 1e-6
+# What is found: columns of integers, and of reals: contact coordinates (4), signed distance in m along the normal of
+# the side assumed, points (3) of body 1 and body 2 in m, in the world.
+STATUS, FOUND_SIDE, FOUND_SIGN, FOUND_CHARTS, INTEGERS_FOUND = 0, 1, 2, 3, 5
+COORDINATES, GAP, POINTS, REALS_FOUND = 0, 4, 5, 11
+
+
+@array_entry(INTEGER, REAL[:, ::1], INTEGER[::1], INTEGER[:, ::1], INTEGER[:, ::1], REAL[:, ::1], when=CALLED)
+def find_stationary(address, starts, branches, charts, integers, reals):
+    """Where Newton's method leads from starts (n, 4), in the first charts, for the only contact of a system whose
+    contours are placed. branches (n,): of closed forms; charts (m, 2): pairs in which a start is tried until it leads
+    anywhere. integers (n, 5), reals (n, 11): of what is found, with a status of `layout`.
+    """
+    system = system_at(address)
+    for i in range(starts.shape[0]):
+        system.contact_int[0, BRANCH] = branches[i]
+        status, solved = _find(system, starts[i], charts), False
+        if status == OK:
+            solved = _is_solved(system)
+            _describe(system, branches[i], integers[i], reals[i])
+        integers[i, STATUS] = status if solved or status != OK else LOCATION_FAILED
+
+
+@kernel
+def _find(system, start, charts):
+    location, status = system.location[0], LOCATION_FAILED
+    for k in range(charts.shape[0]):
+        # a start near a pole is better off in another chart, and one right at it fails in its own
+        for side in range(2):
+            system.side_int[side, CHART] = charts[k, side]
+            for a in range(2 * side, 2 * side + 2):
+                location[a] = start[a] if charts[k, side] == 0 else 0.0
+        if charts[k, 0] == 0 and charts[k, 1] == 0:
+            _choose_charts(system)
+        status = contact_kinematics(system, 0, False)
+        if status == OK:
+            return contact_kinematics(system, 0, False) if _choose_charts(system) else OK
+    return status
+
+
+@kernel
+def _choose_charts(system):
+    """Move the contact coordinates to better charts; whether any were."""
+    if system.counters.charted == 0:
+        return False
+    first, location = system.sizes.nq + system.sizes.nv, system.location[0]
+    for a in range(4):
+        system.state[first + a] = location[a]
+    changed = change_charts(system) > 0
+    for a in range(4):
+        location[a] = system.state[first + a]
+    return changed
+
+
+@kernel
+def _is_solved(system):
+    """Whether C1, but for the gap, and C2 hold for unit tangents, too."""
+    integers = system.contact_int[0]
+    if integers[CLOSED_FORM] != NO_CLOSED_FORM:
+        return True
+    first, second, difference = system.derivatives[0], system.derivatives[1], system.vectors[DIFFERENCE]
+    pattern, tolerance = integers[PATTERN], _SOLVED * max(system.contact_real[0, LENGTH], norm(difference))
+    for a in range(1, 1 + integers[K2]):
+        if not abs(dot(second[a], difference)) <= tolerance * norm(second[a]):
+            return False
+    for a in range(1, 1 + integers[K1]):
+        if pattern == CROSSING_CURVES:
+            if not abs(dot(first[a], difference)) <= tolerance * norm(first[a]):
+                return False
+        elif not abs(dot(first[a], system.basis[0, 2])) <= _SOLVED * norm(first[a]):
+            return False
+    return True
+
+
+@kernel
+def _describe(system, branch, integers, reals):
+    """What was found."""
+    ints, condition = system.contact_int[0], system.contact_real[0, CONDITION]
+    side = -branch if ints[CLOSED_FORM] == ROUND_ON_PLANE else _bending_side(system)
+    integers[FOUND_SIDE], integers[FOUND_SIGN] = side, int(condition > 0.0) - int(condition < 0.0)
+    gap = system.gaps[0, 0]
+    if ints[PATTERN] == ON_CURVE:
+        gap = math.hypot(gap, system.gaps[0, 1])
+    elif side * ints[SIDE] < 0:
+        gap = -gap
+    reals[GAP] = gap
+    for a in range(4):
+        reals[COORDINATES + a] = system.location[0, a]
+    for body in range(2):
+        integers[FOUND_CHARTS + body] = system.side_int[body, CHART]
+        for i in range(3):
+            reals[POINTS + 3 * body + i] = system.frames[body, ORIGIN, i] + system.derivatives[body, 0, i]
+
+
+@kernel
+def _bending_side(system):
+    """Sign of e_3 . (curvature of body 1 - curvature of body 2): the side towards which body 1 bends away.
+
+    0 for points, for crossing curves, and where the relative curvature has no definite sign.
+    """
+    integers = system.contact_int[0]
+    k1, k2 = integers[K1], integers[K2]
+    if k1 == 0 or integers[PATTERN] == CROSSING_CURVES:
+        return 0
+    first, second = system.derivatives[0], system.derivatives[1]
+    normal, sign = system.basis[0, 2], -float(integers[SIDE])
+    m11, m12, m22 = dot(second[1], second[1]), 0.0, 1.0
+    l11, l12, l22 = dot(second[F_11], normal), 0.0, 0.0
+    if k2 == 2:
+        m12, m22 = dot(second[1], second[2]), dot(second[2], second[2])
+        l12, l22 = dot(second[F_12], normal), dot(second[F_22], normal)
+    determinant = m11 * m22 - m12 * m12
+    if not determinant > 0.0:
+        return 0
+    # body 1's tangents in parameters of body 2, (x, y) for each
+    x1, y1 = _in_parameters(first[1], second, k2, m11, m12, m22)
+    r11 = sign * (dot(first[F_11], normal) - (l11 * x1 * x1 + 2.0 * l12 * x1 * y1 + l22 * y1 * y1))
+    if k1 == 1:
+        return int(r11 > 0.0) - int(r11 < 0.0)
+    x2, y2 = _in_parameters(first[2], second, k2, m11, m12, m22)
+    r12 = sign * (dot(first[F_12], normal) - (l11 * x1 * x2 + l12 * (x1 * y2 + x2 * y1) + l22 * y1 * y2))
+    r22 = sign * (dot(first[F_22], normal) - (l11 * x2 * x2 + 2.0 * l12 * x2 * y2 + l22 * y2 * y2))
+    if not r11 * r22 - r12 * r12 > 0.0:
+        return 0
+    return 1 if r11 > 0.0 else -1
+
+
+@kernel
+def _in_parameters(tangent, second, k2, m11, m12, m22):
+    """Parameters (x, y) of body 2 along a tangent (3,), by its metric."""
+    along1, along2 = dot(second[1], tangent), dot(second[2], tangent) if k2 == 2 else 0.0
+    scale = 1.0 / (m11 * m22 - m12 * m12)
+    return scale * (m22 * along1 - m12 * along2), scale * (m11 * along2 - m12 * along1)

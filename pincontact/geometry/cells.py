@@ -1,0 +1,318 @@
+"""Cells of a contour that may be nearest to samples of another one, and feet of points on a contour: compiled.
+
+A cell is a box of parameters: its middle, and a radius within which all its points lie. What is farther than the
+nearest one is left out, the rest divided.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..callback import kernel_address
+from ..contours.base import F_1, F_2, F_11, F_12, F_22, Contour
+from ..contours.evaluation import call_contour
+from ..contours.sizes import DERIVATIVE_ROWS
+from ..jit import CALLED, INTEGER, entry_kernel, kernel
+from ..workspace import INTEGERS, REALS, Layout, Workspace, record
+from .small import dot, norm, rotate_back
+
+# Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
+CURVE_CELLS, SURFACE_CELLS = 128, 24
+_DIVISIONS, _MOST_CELLS = 12, 4096
+# What tangents within a cell are longer by than the longest that was seen.
+LONGER = 1.2
+# Cells that are resolved, relative to the distance and to the radius of curvature.
+_FINE, FINEST = 0.05, 0.05
+# And relative to how much farther than the nearest ones they are, and to cells of samples.
+_COARSER = 0.25
+# Samples of a leaf of their tree, and levels that it may have.
+_LEAF, _LEVELS = 8, 24
+# Steps of Newton's method to a foot, and feet that are looked for at the same time, at most.
+_FOOT_STEPS, MOST_FEET = 4, 16
+# Relative determinants below this are round-off.
+_REGULAR = 1e-12
+
+# evaluator, dimension: of the contour; cells, feet: how many there are
+_COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet")
+# time in s; in m: beyond, how much farther than the nearest cell others may be that are kept; around, the radius of a
+# sample's cell; finest, of cells that are resolved
+_NUMBERS = record(REALS, "time", "beyond", "around", "finest")
+SEARCH = Layout(
+    "search",
+    counts=(_COUNTS, 0),
+    numbers=(_NUMBERS, 0),
+    shape=(REALS, 1),  # of the contour, see `contours.evaluation`
+    pool=(REALS, 1),
+    domain=(REALS, 2, 2),  # (2, 2) low and high ends of its parameters
+    box=(REALS, 2, 2),  # (2, 2) the part of that which is covered
+    pose=(REALS, 2, 3),  # (5, 3) rotation of the samples' frame in the contour's; a point in the latter, in the former
+    samples=(REALS, 2, 3),  # (m, 3), see `SampleTree`
+    nodes=(REALS, 2, 4),  # (k, 4)
+    ends=(INTEGERS, 2, 2),  # (k, 2)
+    order=(INTEGERS, 1),  # (m,)
+    middles=(REALS, 2, 2),  # (n, 2) parameters of cells
+    halves=(REALS, 2, 2),  # (n, 2) half their size
+    points=(REALS, 2, 3),  # (n, 3) their middles, in the contour's frame
+    reaches=(REALS, 1),  # (n,) their radii in m
+    distances=(REALS, 1),  # (n,) of their middles from the nearest sample, in m
+    pairs=(INTEGERS, 1),  # (n,) that sample, in the order of the tree
+    targets=(REALS, 2, 3),  # (MOST_FEET, 3) in the contour's frame
+    feet=(REALS, 2, 2),  # (MOST_FEET, 2) parameters: starts, then feet
+    stack=(INTEGERS, 1),
+    rows=(REALS, 2, 3),  # (10, 3) f and its derivatives
+    vectors=(REALS, 2, 3),
+)
+_search_at = SEARCH.at
+
+
+class SampleTree:
+    """Points (m, 3) in a tree of balls, each of which holds the samples between its ends.
+
+    samples (m, 3), order (m,): in the tree's order, and which they were; nodes (k, 4), ends (k, 2): centre and radius
+    in m, and first and last sample, of a heap.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        depth = max(math.ceil(math.log2(len(points) / _LEAF)), 0)
+        count = 2 ** (depth + 1) - 1
+        self.order = np.arange(len(points))
+        self.nodes, self.ends = np.zeros((count, 4)), np.zeros((count, 2), dtype=np.int64)
+        self.ends[0] = 0, len(points)
+        for i in range(count):
+            first, last = self.ends[i].tolist()
+            own = self.order[first:last]
+            low, high = points[own].min(axis=0), points[own].max(axis=0)
+            centre = 0.5 * (low + high)
+            self.nodes[i] = *centre, np.linalg.norm(points[own] - centre, axis=1).max()
+            if 2 * i + 2 < count:
+                own[:] = own[np.argsort(points[own, np.argmax(high - low)], kind="stable")]
+                middle = (first + last) // 2
+                self.ends[2 * i + 1], self.ends[2 * i + 2] = (first, middle), (middle, last)
+        self.samples = np.ascontiguousarray(points[self.order])
+
+
+def search_workspace(contour: Contour, points: np.ndarray) -> Workspace:
+    """The arrays of `SEARCH` for a contour and samples (m, 3) of another one."""
+    search = Workspace(SEARCH)
+    sizes = {
+        "counts": (),
+        "numbers": (),
+        "domain": (2, 2),
+        "box": (2, 2),
+        "pose": (5, 3),
+        "stack": (2 * _LEVELS,),
+        "middles": (_MOST_CELLS, 2),
+        "halves": (_MOST_CELLS, 2),
+        "points": (_MOST_CELLS, 3),
+        **dict.fromkeys(("reaches", "distances", "pairs"), (_MOST_CELLS,)),
+        "targets": (MOST_FEET, 3),
+        "feet": (MOST_FEET, 2),
+        "rows": (DERIVATIVE_ROWS, 3),
+        "vectors": (2, 3),
+    }
+    for name, extents in sizes.items():
+        search.zeros(name, *extents)
+    search.put("shape", contour.shape_row())
+    search.put("pool", contour.pool)
+    search.domain[: contour.dimension] = contour.domain
+    search.counts["evaluator"], search.counts["dimension"] = kernel_address(contour.evaluator), contour.dimension
+    put_samples(search, points)
+    return search
+
+
+def put_samples(search: Workspace, points: np.ndarray) -> None:
+    """Search for what is near these points (m, 3) from here on."""
+    tree = SampleTree(points)
+    for name in ("samples", "nodes", "ends", "order"):
+        search.put(name, getattr(tree, name))
+
+
+@kernel
+def _evaluate(search, u1, u2):
+    counts = search.counts
+    call_contour(counts.evaluator, 0, search.shape, search.pool, u1, u2, search.numbers.time, search.rows)
+
+
+@kernel
+def _square_between(a, b):
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+
+
+@kernel
+def _nearest_sample(search, place, guess):
+    """The sample nearest to a place (3,) in its frame, and its distance; guess: one that may be near."""
+    samples, nodes, ends, stack = search.samples, search.nodes, search.ends, search.stack
+    found, best = guess, _square_between(samples[guess], place)
+    inner, top = nodes.shape[0] // 2, 1
+    stack[0] = 0
+    while top > 0:
+        top -= 1
+        i = stack[top]
+        away = math.sqrt(_square_between(nodes[i], place)) - nodes[i, 3]
+        if away > 0.0 and away * away >= best:
+            continue
+        if i >= inner:
+            for k in range(ends[i, 0], ends[i, 1]):
+                square = _square_between(samples[k], place)
+                if square < best:
+                    best, found = square, k
+        else:
+            one, two = 2 * i + 1, 2 * i + 2
+            if _square_between(nodes[one], place) < _square_between(nodes[two], place):
+                one, two = two, one
+            stack[top], stack[top + 1] = one, two
+            top += 2
+    return found, math.sqrt(best)
+
+
+@kernel
+def _place_cell(search, i, u1, u2, half1, half2, guess):
+    """Make cell i of these parameters; what is known of its middle is left in `rows`."""
+    search.middles[i, 0], search.middles[i, 1] = u1, u2
+    search.halves[i, 0], search.halves[i, 1] = half1, half2
+    _evaluate(search, u1, u2)
+    pose, rows, point = search.pose, search.rows, search.points[i]
+    lever, place = search.vectors[0], search.vectors[1]
+    for k in range(3):
+        point[k] = rows[0, k]
+        lever[k] = point[k] - pose[3, k]
+    rotate_back(pose, lever, place)
+    for k in range(3):
+        place[k] += pose[4, k]
+    search.pairs[i], search.distances[i] = _nearest_sample(search, place, guess)
+
+
+@kernel
+def _divide(search, i, n, dimension):
+    """Divide cell i, of n, in halves along each parameter: the first part takes its place, the others come last."""
+    u1, u2 = search.middles[i, 0], search.middles[i, 1]
+    half1 = 0.5 * search.halves[i, 0]
+    half2, rows = (0.5 * search.halves[i, 1], 2) if dimension == 2 else (0.0, 1)
+    guess, place = search.pairs[i], i
+    for a in range(2):
+        for b in range(rows):
+            _place_cell(search, place, u1 + (2 * a - 1) * half1, u2 + (2 * b - 1) * half2, half1, half2, guess)
+            place, n = n, n + 1
+    return n - 1
+
+
+@kernel
+def _move_cell(search, i, k):
+    """Cell i takes the place of cell k."""
+    for a in range(2):
+        search.middles[k, a], search.halves[k, a] = search.middles[i, a], search.halves[i, a]
+    for a in range(3):
+        search.points[k, a] = search.points[i, a]
+    search.distances[k], search.pairs[k] = search.distances[i], search.pairs[i]
+
+
+@kernel
+def _cover(search, dimension):
+    """Cells all over the box; their number, and the lengths of the longest tangents."""
+    box, rows = search.box, search.rows
+    count1, count2 = (SURFACE_CELLS, SURFACE_CELLS) if dimension == 2 else (CURVE_CELLS, 1)
+    half1 = 0.5 * (box[0, 1] - box[0, 0]) / count1
+    half2 = 0.5 * (box[1, 1] - box[1, 0]) / count2
+    longest1 = longest2 = 0.0
+    guess, n = 0, 0
+    for a in range(count1):
+        for b in range(count2):
+            u1, u2 = box[0, 0] + half1 * (2 * a + 1), box[1, 0] + half2 * (2 * b + 1)
+            _place_cell(search, n, u1, u2, half1, half2, guess)
+            guess, n = search.pairs[n], n + 1
+            longest1 = max(longest1, norm(rows[F_1]))
+            if dimension == 2:
+                longest2 = max(longest2, norm(rows[F_2]))
+    return n, longest1, longest2
+
+
+@kernel
+def _is_coarse(reach, farther, finest):
+    """Whether a cell of this radius in m, whose middle is so much farther than what is nearest, is to be divided."""
+    return reach > max(finest, _COARSER * farther)
+
+
+@entry_kernel(INTEGER, when=CALLED)
+def near_cells(address):
+    """Find the cells that may be nearest to the samples."""
+    search = _search_at(address)
+    counts, numbers, distances, reaches = search.counts, search.numbers, search.distances, search.reaches
+    dimension = counts.dimension
+    n, longest1, longest2 = _cover(search, dimension)
+    for _ in range(_DIVISIONS):
+        nearest = math.inf
+        for i in range(n):
+            nearest = min(nearest, distances[i])
+            reaches[i] = LONGER * (longest1 * search.halves[i, 0] + longest2 * search.halves[i, 1])
+        kept, coarse, beyond = 0, 0, nearest + numbers.beyond + numbers.around
+        finest = max(_FINE * max(nearest - numbers.around, 0.0), max(numbers.finest, _COARSER * numbers.around))
+        for i in range(n):
+            if distances[i] - reaches[i] <= beyond:
+                _move_cell(search, i, kept)
+                reaches[kept] = reaches[i]
+                coarse += _is_coarse(reaches[i], distances[i] - nearest, finest)
+                kept += 1
+        n = kept
+        if coarse == 0 or n + (2 * dimension - 1) * coarse > distances.shape[0]:
+            break
+        for i in range(kept):
+            if _is_coarse(reaches[i], distances[i] - nearest, finest):
+                n = _divide(search, i, n, dimension)
+    for i in range(n):
+        reaches[i] = LONGER * (longest1 * search.halves[i, 0] + longest2 * search.halves[i, 1])
+    counts.cells = n
+
+
+@kernel
+def _bending(rows, away):
+    """-f_ab . away, of which only what is positive is kept."""
+    b11, b12, b22 = -dot(rows[F_11], away), -dot(rows[F_12], away), -dot(rows[F_22], away)
+    middle, half = 0.5 * (b11 + b22), math.hypot(0.5 * (b11 - b22), b12)
+    low, high = middle - half, middle + half
+    if low >= 0.0:
+        return b11, b12, b22
+    if high <= 0.0:
+        return 0.0, 0.0, 0.0
+    # high v v^T = high (B - low) / (high - low)
+    scale = high / (high - low)
+    return scale * (b11 - low), scale * b12, scale * (b22 - low)
+
+
+@entry_kernel(INTEGER, when=CALLED)
+def find_feet(address):
+    """Newton's method from the starts in `feet` to points nearer to `targets`; a surface's curvature counts where it
+    keeps steps short. The feet take the place of the starts."""
+    search = _search_at(address)
+    rows, domain, away, dimension = search.rows, search.domain, search.vectors[0], search.counts.dimension
+    for i in range(search.counts.feet):
+        foot, target, least = search.feet[i], search.targets[i], math.inf
+        u1, u2 = foot[0], foot[1]
+        for _ in range(_FOOT_STEPS):
+            _evaluate(search, u1, u2)
+            for k in range(3):
+                away[k] = target[k] - rows[0, k]
+            square = dot(away, away)
+            if not square < least:
+                break
+            foot[0], foot[1], least = u1, u2, square
+            g11, g12, g22 = _bending(rows, away)
+            g11 += dot(rows[F_1], rows[F_1])
+            along1, along2 = dot(rows[F_1], away), 0.0
+            if dimension == 2:
+                g12 += dot(rows[F_1], rows[F_2])
+                g22 += dot(rows[F_2], rows[F_2])
+                along2 = dot(rows[F_2], away)
+            else:
+                g12, g22 = 0.0, 1.0
+            determinant = g11 * g22 - g12 * g12
+            if determinant > _REGULAR * g11 * g22:
+                step1, step2 = (g22 * along1 - g12 * along2) / determinant, (g11 * along2 - g12 * along1) / determinant
+            elif g11 > g22:
+                step1, step2 = along1 / g11, 0.0
+            else:
+                # as at a pole, where one of the tangents vanishes
+                step1, step2 = 0.0, along2 / max(g22, 1e-300)
+            u1 = min(max(u1 + step1, domain[0, 0]), domain[0, 1])
+            u2 = min(max(u2 + step2, domain[1, 0]), domain[1, 1])

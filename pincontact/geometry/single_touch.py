@@ -1,0 +1,123 @@
+"""Whether two contours can touch at one place only, wherever their bodies go.
+
+A convex body has a largest radius of curvature. Where a ball of that radius rolls freely over another contour, and is
+inside it nowhere, the body touches it at one place, too, whatever its orientation (Blaschke's rolling theorem). Over a
+plane, and on the outside of a convex body, balls of any radius do; inside a convex body, over graphs and on tori those
+that are smaller than every radius of curvature.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import scipy
+
+from ..contours import Contour, HeightField, Line, Plane, Torus
+from ..layout import PATTERN
+from ..workspace import Workspace
+from .carriers import ORIGIN
+from .patterns import PLANAR
+
+# Samples of a curve and of a surface; how far in m from the origin those of an unbounded one are.
+_CURVE, _SURFACE, _WINDOW = 2000, 4000, 10.0
+# Multiples of these, less whole numbers, fill a length and a square evenly (the inverse of the golden ratio, and of the
+# plastic number and its square).
+_GOLDEN, _PLASTIC = np.array([0.6180339887498949]), np.array([0.7548776662466927, 0.5698402909980532])
+# Balls are taken for larger by this part: what is between samples shows by its square.
+_LARGER = 1.05
+_ROUND_OFF = 1e-9
+# Samples that show narrow places are no farther apart than this part of the radius.
+_FINE = 0.25
+
+
+def touches_once(system: Workspace, c: int) -> bool:
+    """Whether the contours of contact c, as it is evaluated, can touch at no second place at the same time; not where
+    that is not known."""
+    contours = system.contacts[c].body1.contour, system.contacts[c].body2.contour
+    if any(contour.dimension == 0 for contour in contours):
+        return True
+    if any(contour.time_dependent for contour in contours):
+        return False
+    return any(_touches_once(system, c, side) for side in (0, 1))
+
+
+def _touches_once(system: Workspace, c: int, side: int) -> bool:
+    """The same, where the contour on this side is that of the convex body."""
+    own = (system.contacts[c].body1, system.contacts[c].body2)[side].contour
+    other = (system.contacts[c].body1, system.contacts[c].body2)[1 - side].contour
+    in_plane = bool(system.contact_int[c, PATTERN] == PLANAR)
+    flat = isinstance(other, Plane) or (in_plane and isinstance(other, Line))
+    if flat and isinstance(own, Torus):
+        # except where it lies flat, along a whole circle
+        return True
+    if own.convex_side == 0 or not np.isfinite(own.domain).all():
+        return False
+    if flat or not (in_plane or (own.dimension == other.dimension == 2)):
+        return flat
+    towards = _side_of(system, c, side)
+    radius = _largest_radius(own, in_plane)
+    return towards == other.convex_side or (math.isfinite(radius) and _rolls_freely(other, towards, radius, in_plane))
+
+
+def _side_of(system: Workspace, c: int, side: int) -> int:
+    """On which side of the other contour's normal the body on this side of contact c is, +1 or -1."""
+    one, two = 2 * c + side, 2 * c + 1 - side
+    frames, derivatives = system.frames, system.derivatives
+    own = (system.contacts[c].body1, system.contacts[c].body2)[side].contour
+    middle = frames[one, :3] @ _samples(own)[:, 0].mean(axis=0) + frames[one, ORIGIN]
+    across = derivatives[two, 2] if system.contact_int[c, PATTERN] != PLANAR else frames[two, :3, 2]
+    normal = np.cross(derivatives[two, 1], across)
+    return 1 if normal @ (middle - frames[two, ORIGIN] - derivatives[two, 0]) > 0.0 else -1
+
+
+@functools.lru_cache(maxsize=64)
+def _samples(contour: Contour) -> np.ndarray:
+    """f and its derivatives (n, 10, 3) all over a contour, at places that no period of its shape repeats."""
+    low, high = np.array([(max(low, -_WINDOW), min(high, _WINDOW)) for low, high in contour.domain]).T
+    count, steps = (_CURVE, _GOLDEN) if contour.dimension == 1 else (_SURFACE, _PLASTIC)
+    parts = np.mod((np.arange(count)[:, None] + 0.5) * steps, 1.0)
+    return contour.evaluate_many(low + (high - low) * parts)
+
+
+def _normals(values: np.ndarray, in_plane: bool) -> np.ndarray:
+    """Unit normals (n, 3) at samples (n, 10, 3)."""
+    normals = np.cross(values[:, 1], np.array([0.0, 0.0, 1.0]) if in_plane else values[:, 2])
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+@functools.lru_cache(maxsize=64)
+def _curvatures(contour: Contour, in_plane: bool) -> np.ndarray:
+    """Principal curvatures (n, k) in 1/m, in order, at the samples, positive where it bends towards its normal."""
+    values = _samples(contour)
+    bent = np.einsum("nai,ni->na", values[:, 3:6], _normals(values, in_plane))
+    if in_plane:
+        return bent[:, :1] / np.einsum("ni,ni->n", values[:, 1], values[:, 1])[:, None]
+    tangents = values[:, 1:3]
+    shapes = np.linalg.solve(tangents @ np.swapaxes(tangents, 1, 2), bent[:, [[0, 1], [1, 2]]])
+    middle = 0.5 * np.trace(shapes, axis1=1, axis2=2)
+    half = np.sqrt(np.maximum(middle * middle - np.linalg.det(shapes), 0.0))
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def _largest_radius(contour: Contour, in_plane: bool) -> float:
+    """The largest radius of curvature in m of a convex contour; infinite where it is straight."""
+    least = float(np.abs(_curvatures(contour, in_plane)).min())
+    return 1.0 / least if least > 0.0 else math.inf
+
+
+@functools.lru_cache(maxsize=64)
+def _rolls_freely(contour: Contour, side: int, radius: float, in_plane: bool) -> bool:
+    """Whether a ball of this radius in m that touches a contour anywhere, on this side, is inside it nowhere."""
+    radius *= _LARGER
+    if radius * float((side * _curvatures(contour, in_plane)).max()) >= 1.0:
+        return False
+    if contour.convex_side != 0 or isinstance(contour, (HeightField, Torus)):
+        return True
+    # a narrow place, where parts face each other
+    values = _samples(contour)
+    centres = values[:, 0] + side * radius * _normals(values, in_plane)
+    tree = scipy.spatial.cKDTree(values[:, 0])
+    spacing = tree.query(values[:, 0], k=2)[0][:, 1].max()
+    return bool(spacing < _FINE * radius and tree.query(centres)[0].min() > (1.0 - _ROUND_OFF) * radius)

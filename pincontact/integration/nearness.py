@@ -1,0 +1,196 @@
+"""How far the bodies of one contact are apart, or beside a place at which they touch, and how long that holds."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..contours.base import F_T, F_TT, PLANE
+from ..geometry.carriers import ORIGIN
+from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
+from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched, least_whole
+from ..layout import (
+    APPROACH_SPEED,
+    BRANCH,
+    CHART,
+    CLOSED_FORM,
+    DETERMINANT_SIGN,
+    EXTENT,
+    FLAT,
+    FREE,
+    HULL_X,
+    HULL_Z,
+    LENGTH,
+    NEXT,
+    NOTHING_THERE,
+    SAME_PLACE,
+    TURNING,
+    WHOLE,
+)
+from .accuracy import SHALLOW
+
+if TYPE_CHECKING:
+    from ..dynamics.system import System
+    from ..geometry.search import Candidate
+    from .run_system import RunSystem
+
+# How far bodies may move within a step where they are near, in radii of curvature.
+_NEAR = 0.25
+# Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
+_INSTANTS, _CHANGE = 16, 0.75
+# Contact coordinates (4,), branch, sign of the determinant, and charts of an open contact.
+Place = tuple[np.ndarray, int, int, tuple[int, int]]
+
+
+def of_same_contours(system: System, c: int) -> list[int]:
+    """Other contacts between the contours of contact c."""
+    others, i = [], int(system.contact_int[c, NEXT])
+    while i != c:
+        others.append(i)
+        i = int(system.contact_int[i, NEXT])
+    return others
+
+
+def places_of(system: System, contacts: list[int], c: int) -> list[np.ndarray]:
+    """Where these contacts, of the contours of contact c, are in the evaluated state: points (2, 3) in the world of its
+    body 1 and body 2; without those that are nowhere."""
+    places = []
+    for i in contacts:
+        if system.modes[i] == FREE and system.gaps[i, 0] >= NOTHING_THERE:
+            continue
+        sides = slice(2 * i, 2 * i + 2)
+        points = system.frames[sides, ORIGIN] + system.derivatives[sides, 0]
+        places.append(points if system.contacts[i].body1 is system.contacts[c].body1 else points[::-1])
+    return places
+
+
+class Nearness:
+    """What is known of the distance of the bodies of one contact, which is open, or of that beside the place at which
+    they touch.
+
+    near: how far in m bodies may move in a step where they are near each other; taken: other contacts of the same
+    contours, and the contact itself where it is closed: what is looked for is not there. t: time in s.
+    """
+
+    def __init__(self, system: RunSystem, c: int, t: float) -> None:
+        self.system, self.c, self.contact = system, c, system.contacts[c]
+        self.is_open = bool(system.modes[c] == FREE)
+        self.taken = of_same_contours(system, c) + ([] if self.is_open else [c])
+        self.search: NearestSearch | None = None
+        # the smaller one of bounded contours, and its side
+        self.whole: Whole | None = None
+        self.side = 0
+        one, two = self.contact.body1.contour, self.contact.body2.contour
+        self.near = math.inf
+        bodies = self.contact.body1, self.contact.body2
+        # sides whose contours change with time
+        self.changing = [2 * c + i for i, body in enumerate(bodies) if body.contour.time_dependent]
+        self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
+        if is_searched(system, c):
+            with suppress(ValueError):
+                self.search = NearestSearch(system, c, t)
+        if self.search is not None:
+            self.near = _NEAR * self.search.bend
+        if self.search is not None:
+            self.side, self.whole = self.search.side, self.search.whole
+        elif (found := least_whole((one, two), t)) is not None:
+            self.side, self.whole = found
+        form = system.contact_int[c, CLOSED_FORM]
+        if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
+            # within the other one there is nothing to fly through
+            beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
+            self.near = _NEAR * (two.size + (one.size if beside else 0.0))
+        numbers = system.contact_real[c]
+        numbers[EXTENT], system.contact_int[c, WHOLE] = -1.0, self.side
+        if self.whole is not None:
+            numbers[HULL_X : HULL_Z + 1], numbers[EXTENT] = self.whole.centre, self.whole.extent
+        # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
+        # they may touch
+        self.is_plain = self.search is None and math.isinf(self.near) and not self.is_driven
+        numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
+        # distances that the last search has found, and the pose at which it did
+        self.distance = self.elsewhere = -math.inf
+        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
+        # gap and place that `follow` has left
+        self.gap: float = math.nan
+        self.place: Place | None = None
+
+    def speed(self, system: RunSystem) -> tuple[float, float]:
+        """Bounds of the speed in m/s at which points of the smaller contour move in the frame of the other body, and of
+        its turning, in rad/s, from `bound_speeds`."""
+        speed, turning = system.contact_real[self.c, APPROACH_SPEED : TURNING + 1].tolist()
+        for side in self.changing:
+            speed += float(np.linalg.norm(system.derivatives[side, 6]))
+        return speed, turning
+
+    def driven(self, system: RunSystem, t: float, h: float) -> tuple[float, float]:
+        """The largest speed in m/s at which drives move points of one contour near the other one up to t + h, and the
+        longest step in s in which their velocities change by no more than they are."""
+        speed = change = 0.0
+        if not self.is_driven:
+            return 0.0, math.inf
+        centre = system.frames[2 * self.c + self.side, ORIGIN]
+        for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
+            contour, u = body.contour, system.location[self.c, 2 * (side % 2) :][: body.contour.dimension]
+            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN]))
+            reach += self.whole.extent if self.whole is not None else 0.0
+            for i in range(_INSTANTS if body.motion is not None or contour.time_dependent else 0):
+                when = t + h * (i + 0.5) / _INSTANTS
+                if body.motion is not None:
+                    row = body.motion.evaluate(when)
+                    speed = max(speed, float(np.linalg.norm(row[12:15]) + reach * np.linalg.norm(row[15:18])))
+                    change = max(change, float(np.linalg.norm(row[18:21]) + reach * np.linalg.norm(row[21:24])))
+                if contour.time_dependent:
+                    values = contour.evaluate(u.tolist(), when, int(system.side_int[side, CHART]))
+                    speed = max(speed, float(np.linalg.norm(values[F_T])))
+                    change = max(change, float(np.linalg.norm(values[F_TT])))
+        return speed, _CHANGE * speed / change if change > 0.0 else math.inf
+
+    def moved(self, t: float) -> float:
+        """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most."""
+        search = self.search
+        if search is None:
+            return 0.0
+        if self.changing:
+            return 0.0 if t == self.time else math.inf
+        rotation, centre = search.pose()
+        turned = float(np.linalg.norm(rotation - self.rotation)) / math.sqrt(2.0)
+        return float(np.linalg.norm(centre - self.centre)) + turned * search.whole.extent
+
+    def is_followed(self, t: float) -> bool:
+        """Whether its gap may be that of the nearest points, for all that is known from the last time."""
+        gap = float(self.system.gaps[self.c, 0])
+        return abs(gap - self.gap) <= self.moved(t) + SAME_PLACE * self.system.contact_real[self.c, LENGTH]
+
+    def follow(self, t: float) -> None:
+        """Take where it is as where bodies are nearest; what the last search has found counts no more."""
+        system, c, integers = self.system, self.c, self.system.contact_int[self.c]
+        assert self.search is not None
+        self.distance = self.elsewhere = -math.inf
+        (self.rotation, self.centre), self.time, self.gap = self.search.pose(), t, float(system.gaps[c, 0])
+        charts = (int(system.side_int[2 * c, CHART]), int(system.side_int[2 * c + 1, CHART]))
+        self.place = system.location[c].copy(), int(integers[BRANCH]), int(integers[DETERMINANT_SIGN]), charts
+
+    def look(self, t: float) -> Nearest:
+        """Search the nearest points at the evaluated state."""
+        assert self.search is not None
+        return self.search.search(t, places_of(self.system, self.taken, self.c))
+
+    def find(self, t: float) -> list[Candidate]:
+        """The same; the distances that it finds are known from here on."""
+        nearest = self.look(t)
+        assert self.search is not None
+        (self.rotation, self.centre), self.time = self.search.pose(), t
+        self.distance, self.elsewhere = nearest.distance, nearest.elsewhere
+        return nearest.candidates
+
+    def enters(self, t: float) -> Candidate | None:
+        """Where bodies are inside each other at the evaluated state, beside the places that are taken; None where they
+        are not. Since the last time they cannot have got there farther than they have moved."""
+        shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
+        deepest = self.moved(t) if self.distance > -math.inf else shallow
+        inside = [found for found in self.find(t) if -deepest <= found.gap < 0.0]
+        return min(inside, key=lambda found: found.gap, default=None)

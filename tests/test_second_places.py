@@ -1,0 +1,237 @@
+"""Bodies that touch at a second place: told where no contact is declared for it, and right where one is. Places are
+computed independently, from dense samples of the waves."""
+
+import itertools
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import scipy
+from test_open_contacts import AMPLITUDE, LENGTH, G, body, fall, touches, waves
+from test_search_parts import system_of
+
+import pincontact as pc
+from pincontact.geometry.nearest import NearestSearch
+from pincontact.geometry.single_touch import touches_once
+from pincontact.layout import CHART
+
+# The ring stands in the xz-plane.
+STANDING = pin.Quaternion(pin.rpy.rpyToMatrix(math.pi / 2, 0.0, 0.0)).coeffs()
+SHAPES = [pc.Sphere(0.2), pc.Circle(0.2)]
+RADIUS, TROUGH = 0.2, 0.75 * LENGTH
+
+
+def scene_of(shape, contacts=1, mu=0.0, restitution=0.0):
+    scene = pc.Scene(body(shape))
+    scene.add_contour("shape", shape, frame="body")
+    scene.add_contour("ground", waves())
+    friction = pc.Coulomb(mu) if mu else None
+    for i in range(contacts):
+        scene.add_contact(f"c{i}", "shape", "ground", friction=friction, restitution=restitution)
+    return scene
+
+
+def at(shape, x, z):
+    return np.array([x, 0.0, z, *(STANDING if isinstance(shape, pc.Circle) else (0.0, 0.0, 0.0, 1.0))])
+
+
+def depth(run):
+    """How far in m samples of the disk below the centre are inside the waves, at most, for each output."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2001)
+    x = run.q[:, :1] + RADIUS * np.sin(angle)
+    return (AMPLITUDE * np.sin(2.0 * np.pi * x / LENGTH) - run.q[:, 2:3] + RADIUS * np.cos(angle)).max(axis=1)
+
+
+def resting_place():
+    """Height of the centre and slope (rad) at both places, of a disk across the trough."""
+    across = np.linspace(0.0, RADIUS, 2_000_001)
+    centre = AMPLITUDE * np.sin(2.0 * np.pi * (TROUGH + across) / LENGTH) + np.sqrt(RADIUS**2 - across**2)
+    i = int(np.argmax(centre))
+    return float(centre[i]), math.asin(across[i] / RADIUS)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize(("shape", "mu"), [(SHAPES[0], 0.0), (SHAPES[1], 0.6)], ids=["ball", "ring"])
+def test_a_second_place_is_told(shape, mu, method):
+    """A disk goes down a wave into a trough that is narrower; what the run has is right, whenever it is to end."""
+    scene = scene_of(shape, mu=mu)
+    state = scene.initial_state(at(shape, 0.2, 0.25))
+    pair = scene_of(shape, contacts=2, mu=mu)
+    touch = touches(pc.simulate(pair, pair.initial_state(at(shape, 0.2, 0.25), free=["c1"]), 0.4, rtol=1e-9))[0]
+    for after in (1e-3, 0.01, 0.1, 1.0):
+        run = pc.simulate(scene, state, touch + after, method=method)
+        assert run.status == -3 and "second place" in run.message, run.message
+        assert run.t[-1] <= touch + 2e-3 and run.t[-1] > touch - 0.05
+        # in a step of 1 ms; events find it to a thousandth of the radius
+        assert depth(run).max() < (2e-3 if method == "Moreau" else 2e-4)
+    assert pc.simulate(scene, state, touch - 2e-3, method=method).status == 0
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+def test_at_rest_across_a_trough(method):
+    """One contact is not enough from the start."""
+    height, _ = resting_place()
+    for shape in SHAPES:
+        scene = scene_of(shape)
+        run = pc.simulate(scene, scene.initial_state(at(shape, TROUGH, height)), 0.5, method=method)
+        assert run.status == -3 and "second place" in run.message
+        pair = scene_of(shape, contacts=2, mu=0.5)
+        state = pair.initial_state(at(shape, TROUGH, height))
+        run = pc.simulate(pair, state, 0.5, method=method)
+        assert run.status == 0 and not run.events
+        np.testing.assert_allclose(run.q[-1], state.q, atol=1e-9)
+        forces = [run.contacts[name].force_on("shape")[-1] for name in ("c0", "c1")]
+        np.testing.assert_allclose(sum(forces), [0.0, 0.0, G], atol=1e-6)
+        # one on each side
+        assert forces[0][0] * forces[1][0] < 0.0
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Sharp98", "Moreau"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_second_contacts_strike(method, restitution):
+    """A frictionless ball slides into the trough and strikes the other slope: by energy, and by the slopes."""
+    height, slope = resting_place()
+    scene = scene_of(pc.Sphere(RADIUS), contacts=2, restitution=restitution)
+    state = scene.initial_state(at(pc.Sphere(RADIUS), 0.2, 0.25), free=["c1"])
+    run = pc.simulate(scene, state, 0.45, method=method, **({} if method == "Moreau" else {"rtol": 1e-9}))
+    assert run.status == 0, run.message
+    first, then = (next(event.time for event in run.events if event.contact == name) for name in ("c1", "c0"))
+    speed = math.sqrt(2.0 * G * (state.q[2] - height))
+    # along the second slope and off it; the energy that is left is kept up to the next touch
+    left = speed**2 * (math.cos(2.0 * slope) ** 2 + (restitution * math.sin(2.0 * slope)) ** 2)
+    after = (run.t > first + 2e-3) & (run.t < first + 0.03)
+    energy = 0.5 * (run.v[after, :3] ** 2).sum(axis=1) + G * (run.q[after, 2] - height)
+    # time stepping: what gravity does in a step of 1 ms
+    np.testing.assert_allclose(energy, 0.5 * left, atol=2e-2 if method == "Moreau" else 1e-6)
+    assert first - then < 1e-3 and after.any()
+    assert depth(run).max() < (1e-4 if method == "Moreau" else 1e-6)
+
+
+def test_both_kinds_of_methods_settle_alike():
+    """From above, both contacts open, into the trough, where ever shorter hops from slope to slope end at rest."""
+    height, _ = resting_place()
+    for shape, mu in itertools.product(SHAPES, [0.0, 0.6]):
+        if isinstance(shape, pc.Circle) and mu == 0.0:
+            # which tips over
+            continue
+        scene = scene_of(shape, contacts=2, mu=mu)
+        state = scene.initial_state(at(shape, 0.2, 0.4), free=["c0", "c1"])
+        runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
+        for run in runs:
+            assert run.status == 0, run.message
+            np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
+            assert depth(run).max() < 1e-4
+        first = [touches(run)[0] for run in runs]
+        assert abs(first[0] - first[1]) < 1e-5
+
+
+def ask(shape, ground, q, side=1):
+    """`touches_once` where they are nearest."""
+    system = system_of(shape, ground, np.asarray(q, dtype=float), side=side)
+    system.evaluate_kinematics(0.0)
+    found = NearestSearch(system, 0, 0.0).search(0.0).candidate
+    system.location[0], system.side_int[:2, CHART] = found.location, found.charts
+    system.evaluate_kinematics(0.0)
+    return touches_once(system, 0)
+
+
+def lying(x, y, z):
+    return x, y, z, 0.0, 0.0, 0.0, 1.0
+
+
+BOWL = pc.Ellipsoid(1.0, 0.8, 0.7)
+UPRIGHT = (0.0, 0.0, 0.35, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+# the least radius of curvature of the waves
+BEND = LENGTH**2 / (4.0 * math.pi**2 * AMPLITUDE)
+
+
+@pytest.mark.parametrize(
+    ("shape", "ground", "q", "side", "once"),
+    [
+        (pc.Sphere(0.9 * BEND), waves(), lying(0.1, 0.0, 0.3), 1, True),
+        (pc.Sphere(1.01 * BEND), waves(None), lying(0.1, 0.0, 0.3), 1, False),
+        (pc.Point(), waves(), lying(0.1, 0.0, 0.3), 1, True),
+        # a ring may lie flat
+        (pc.Circle(0.05), waves(), lying(0.1, 0.0, 0.3), 1, False),
+        (pc.Sphere(0.45), BOWL, lying(0.0, 0.02, -0.2), -1, True),
+        (pc.Sphere(0.6), BOWL, lying(0.0, 0.02, -0.05), -1, False),
+        (pc.Sphere(0.6), BOWL, lying(0.0, 0.02, 1.4), 1, True),
+        # 0.2^2 / 0.1 < 0.7^2 < 0.4^2 / 0.1
+        (pc.Ellipsoid(0.1, 0.2, 0.15), BOWL, lying(0.0, 0.02, -0.5), -1, True),
+        (pc.Ellipsoid(0.1, 0.4, 0.15), BOWL, lying(0.0, 0.02, -0.2), -1, False),
+        (pc.Ellipsoid(0.1, 0.4, 0.15), BOWL, lying(0.0, 0.02, 0.9), 1, True),
+        (pc.Torus(0.3, 0.05), pc.Plane(), UPRIGHT, 1, True),
+        # through the hole, over it
+        (pc.Sphere(0.25), pc.Torus(0.6, 0.3), lying(0.6, 0.0, 0.6), 1, True),
+        (pc.Sphere(0.35), pc.Torus(0.6, 0.3), lying(0.1, 0.0, 0.3), 1, False),
+    ],
+)
+def test_shapes_that_touch_once(shape, ground, q, side, once):
+    assert ask(shape, ground, q, side) == once
+
+
+def test_what_touches_once_has_no_second_place():
+    """Disks in a plane with closed curves of random bumps and dents, outside and inside: where it is said that they
+    touch once, disks at dense samples overlap nothing, and are seen to elsewhere."""
+    said = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        angles = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+        bumps = sum(rng.uniform(0.0, 0.3) * np.cos(k * angles + rng.uniform(0, 6.3)) / k for k in (2, 3, 4))
+        points = (1.0 + bumps)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        curve = pc.SplineCurve(points, periodic=True)
+        radius, inside = rng.uniform(0.15, 0.8), bool(rng.integers(2))
+        values = curve.evaluate_many(np.linspace(*curve.domain[0], 4001)[:-1, None])
+        tangents = values[:, 1, :2] / np.linalg.norm(values[:, 1, :2], axis=1)[:, None]
+        out = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        centres = values[:, 0, :2] + radius * (-out if inside else out)
+        nearest = scipy.spatial.cKDTree(values[:, 0, :2]).query(centres)[0].min()
+        once = planar_once(curve, radius, centres[0])
+        said.append(once)
+        if once:
+            assert nearest > radius - 1e-6, seed
+        elif nearest > radius - 1e-6:
+            # 5 % more do not go everywhere
+            larger = values[:, 0, :2] + 1.051 * radius * (-out if inside else out)
+            assert scipy.spatial.cKDTree(values[:, 0, :2]).query(larger)[0].min() < 1.051 * radius - 1e-6, seed
+    assert 8 < sum(said) < 25
+
+
+def planar_once(curve, radius, centre):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
+    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    scene.add_contour("disk", pc.Circle(radius), frame="disk")
+    scene.add_contour("curve", curve)
+    scene.add_contact("c", "disk", "curve", bilateral=True)
+    system = pc.integration.run_system.RunSystem(model, list(scene.contacts.values()))
+    state = scene.initial_state([*centre, 1.0, 0.0])
+    system.q[:], system.location[:] = state.q, state.location
+    system.evaluate_kinematics(0.0)
+    return touches_once(system, 0)
+
+
+def test_contacts_of_one_pair_start_at_different_places():
+    height, _ = resting_place()
+    scene = scene_of(pc.Sphere(RADIUS), contacts=2)
+    state = scene.initial_state(at(SHAPES[0], TROUGH, height))
+    first, second = state.location[:, 2]
+    assert abs(first + second - 2.0 * TROUGH) < 1e-6 and abs(first - second) > 0.1
+    # and where there is only one place
+    model = body(pc.Sphere(0.1))
+    lone = pc.Scene(model)
+    lone.add_contour("ball", pc.Ellipsoid(0.1, 0.12, 0.11), frame="body")
+    lone.add_contour("egg", pc.Ellipsoid(1.0, 0.9, 0.8))
+    for name in ("a", "b"):
+        lone.add_contact(name, "ball", "egg", side=1)
+    q = lying(0.0, 0.0, 0.91)
+    with pytest.raises(pc.NoContactError, match=r"'b'.*other contacts"):
+        lone.initial_state(q)
+    for method in ("DOP853", "Moreau"):
+        run = pc.simulate(lone, lone.initial_state(q, free=["b"]), 0.2, method=method)
+        assert run.status == 0 and not touches(run), run.message
+        assert np.isnan(run.contacts["b"].gap[1:]).all()
+        assert fall(0.5) > 0.2

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -58,6 +59,17 @@ class Nearest:
     def candidate(self) -> Candidate | None:
         """The nearest stationary point, None without any."""
         return self.candidates[0] if self.candidates else None
+
+
+class _Survey(NamedTuple):
+    """Candidates, the nearest first, and cells: middles (n, 3) in the divided contour's frame, radii (n,), least
+    distances (n,) of their points; and how far it has been looked; in m."""
+
+    found: list[Candidate]
+    points: np.ndarray
+    reaches: np.ndarray
+    least: np.ndarray
+    resolved: float
 
 
 class Whole:
@@ -134,6 +146,9 @@ class NearestSearch:
             self.bend = min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
         self._single = system.alone(c)
         self._cells = search_workspace(self.divided, self.whole.points)
+        # time and poses of the last search, and what it found
+        self._state: tuple[float, bytes] | None = None
+        self._survey: _Survey
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
@@ -145,45 +160,63 @@ class NearestSearch:
         """The divided contour's frame, as last evaluated."""
         return self.system.frames[2 * self.c + 1 - self.side]
 
+    @property
+    def neighbourhood(self) -> float:
+        """Radius in m around a nearest point within which there is no other one."""
+        return _NEIGHBOURHOOD * self.bend
+
+    def on_divided(self, point: np.ndarray) -> np.ndarray:
+        """A point (3,) in the world in the divided contour's frame, as last evaluated."""
+        frame = self._frame()
+        return np.asarray(frame[:3].T @ (point - frame[ORIGIN]))
+
     def search(self, t: float, taken: Sequence[np.ndarray] = ()) -> Nearest:
         """The nearest points at the system's (q, v).
 
         taken: pairs of points (2, 3) of body 1 and body 2, in the world, at which other contacts of the same contours
         are: nothing is looked for there.
         """
+        state = t, self.system.frames[2 * self.c : 2 * self.c + 2, : ORIGIN + 1].tobytes()
+        if state != self._state:
+            # not for each of several contacts of the same contours
+            self._state, self._survey = state, self._look(t)
+        survey, own = self._survey, 1 - self.side
+        same = SAME_PLACE * self.system.contact_real[self.c, LENGTH]
+        found = [one for one in survey.found if not any(np.abs(one.points - place).max() < same for place in taken)]
+
+        def beside(places: list[np.ndarray]) -> float:
+            away = np.ones(len(survey.points), dtype=bool)
+            for place in places:
+                way = np.linalg.norm(survey.points - self.on_divided(place), axis=1)
+                away &= way > self.neighbourhood + survey.reaches
+            return min(float(survey.least[away].min(initial=math.inf)), survey.resolved)
+
+        places = [pair[own] for pair in taken]
+        elsewhere = beside([*places, *(one.points[own] for one in found[:1])])
+        return Nearest(found, beside(places), elsewhere)
+
+    def _look(self, t: float) -> _Survey:
+        """All that a search finds, wherever other contacts are."""
         if self.whole.contour.time_dependent:
             self.whole = Whole(self.whole.contour, t)
             put_samples(self._cells, self.whole.points)
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
-        neighbourhood = _NEIGHBOURHOOD * self.bend
+        neighbourhood = self.neighbourhood
         cells.numbers["time"], cells.numbers["beyond"] = t, neighbourhood
         cells.numbers["around"], cells.numbers["finest"] = whole.radius, FINEST * self.bend
         cells.box[: self.divided.dimension] = self._box(t, centre, neighbourhood)
         cells.pose[:3], cells.pose[3], cells.pose[4] = rotation, centre, whole.centre
         near_cells(cells.address)
         count = int(cells.counts["cells"])
-        points, reaches, distances = cells.points[:count], cells.reaches[:count], cells.distances[:count]
-        distances = distances - whole.rounding
+        points, reaches = cells.points[:count].copy(), cells.reaches[:count].copy()
+        distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         nearest = cells.order[cells.pairs[:count]]
         starts = [(i, int(nearest[i])) for i in spaced(points, np.argsort(distances), neighbourhood, _STARTS)]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
-        found = self._candidates(t, starts, taken)
-        frame, own = self._frame(), 1 - self.side
-        # what is farther than that has been left out
-        resolved = float(distances.min()) + neighbourhood
-
-        def beside(places: list[np.ndarray]) -> float:
-            away = np.ones(len(points), dtype=bool)
-            for place in places:
-                at = frame[:3].T @ (place - frame[ORIGIN])
-                away &= np.linalg.norm(points - at, axis=1) > neighbourhood + reaches
-            return min(float(least[away].min(initial=math.inf)), resolved)
-
-        places = [pair[own] for pair in taken]
-        elsewhere = beside([*places, *(one.points[own] for one in found[:1])])
-        return Nearest(found, beside(places), elsewhere)
+        # what is farther than the last number has been left out
+        return _Survey(self._candidates(t, starts), points, reaches, least, float(distances.min()) + neighbourhood)
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""
@@ -216,9 +249,9 @@ class NearestSearch:
         order = highest[np.argsort(-distances[highest])]
         return [(int(nearest[i]), i) for i in spaced(samples, order, most, _STARTS)]
 
-    def _candidates(self, t: float, starts: list[tuple[int, int]], taken: Sequence[np.ndarray]) -> list[Candidate]:
-        """Stationary points to which Newton's method leads, but those taken, the nearest first. starts: cells and
-        samples of the whole contour."""
+    def _candidates(self, t: float, starts: list[tuple[int, int]]) -> list[Candidate]:
+        """Stationary points to which Newton's method leads, the nearest first. starts: cells and samples of the whole
+        contour."""
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
         system, single, c, n = self.system, self._single, self.c, len(starts)
         single.q[:], single.v[:] = system.q, system.v
@@ -234,11 +267,10 @@ class NearestSearch:
         places[:, other], places[:, own] = cells.feet[:n], whole.parameters[samples]
         if isinstance(whole.contour, Sphere):
             places[:, own] = self._facing(evaluated(self.divided, cells.feet[:n], t)[:, 0])
-        side, same = int(system.contact_int[c, SIDE]), SAME_PLACE * system.contact_real[c, LENGTH]
+        side = int(system.contact_int[c, SIDE])
         sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
         every, _ = stationary_points(single, t, places, [1] * n)
         found = [one for one in every if one.side in sides]
-        found = [one for one in found if not any(np.abs(one.points - place).max() < same for place in taken)]
         return sorted(found, key=lambda one: float(np.linalg.norm(one.points[1] - one.points[0])))
 
     def _facing(self, points: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ from ..layout import (
     NEXT,
     NOTHING_THERE,
     SAME_PLACE,
+    SIDE,
     TURNING,
     WHOLE,
 )
@@ -71,15 +72,16 @@ class Nearness:
     """What is known of the distance of the bodies of one contact, which is open, or of that beside the place at which
     they touch.
 
-    near: how far in m bodies may move in a step where they are near each other; taken: other contacts of the same
-    contours, and the contact itself where it is closed: what is looked for is not there. t: time in s.
+    search: as that of another contact of the same contours, if there is one; near: how far in m bodies may move in a
+    step where they are near each other; taken: other contacts of the same contours, and the contact itself where it is
+    closed: what is looked for is not there. t: time in s.
     """
 
-    def __init__(self, system: RunSystem, c: int, t: float) -> None:
+    def __init__(self, system: RunSystem, c: int, t: float, search: NearestSearch | None = None) -> None:
         self.system, self.c, self.contact = system, c, system.contacts[c]
         self.is_open = bool(system.modes[c] == FREE)
         self.taken = of_same_contours(system, c) + ([] if self.is_open else [c])
-        self.search: NearestSearch | None = None
+        self.search = search
         # the smaller one of bounded contours, and its side
         self.whole: Whole | None = None
         self.side = 0
@@ -89,7 +91,7 @@ class Nearness:
         # sides whose contours change with time
         self.changing = [2 * c + i for i, body in enumerate(bodies) if body.contour.time_dependent]
         self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
-        if is_searched(system, c):
+        if search is None and is_searched(system, c):
             with suppress(ValueError):
                 self.search = NearestSearch(system, c, t)
         if self.search is not None:
@@ -114,9 +116,16 @@ class Nearness:
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
         self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
+        # where it was on the divided contour as the last step began
+        self.start = np.zeros(3)
         # gap and place that `follow` has left
         self.gap: float = math.nan
         self.place: Place | None = None
+
+    def has_the_bodies_of(self, c: int) -> bool:
+        """Whether contact c is of the same contours, in the same order and on the same side."""
+        own, other, sides = self.contact, self.system.contacts[c], self.system.contact_int[:, SIDE]
+        return own.body1 is other.body1 and own.body2 is other.body2 and bool(sides[self.c] == sides[c])
 
     def speed(self, system: RunSystem) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of the smaller contour move in the frame of the other body, and of
@@ -173,6 +182,19 @@ class Nearness:
         (self.rotation, self.centre), self.time, self.gap = self.search.pose(), t, float(system.gaps[c, 0])
         charts = (int(system.side_int[2 * c, CHART]), int(system.side_int[2 * c + 1, CHART]))
         self.place = system.location[c].copy(), int(integers[BRANCH]), int(integers[DETERMINANT_SIGN]), charts
+
+    def set_out(self) -> None:
+        """A step begins at the evaluated state."""
+        if self.search is not None:
+            side = 2 * self.c + 1 - self.side
+            self.start = self.search.on_divided(self.system.frames[side, ORIGIN] + self.system.derivatives[side, 0])
+
+    def is_near(self, found: Candidate) -> bool:
+        """Whether a candidate is in the neighbourhood, which has no other one, of where the contact was as the step
+        began."""
+        assert self.search is not None
+        way = self.search.on_divided(found.points[1 - self.side]) - self.start
+        return float(np.linalg.norm(way)) < self.search.neighbourhood
 
     def look(self, t: float) -> Nearest:
         """Search the nearest points at the evaluated state."""

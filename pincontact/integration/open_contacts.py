@@ -144,6 +144,7 @@ class OpenContacts:
                 if moved > 0.0 and far:
                     self._search(t, known)
                     distance = self._distance(known, t)
+            known.set_out()
             self._allowed[c] = allowed = max(distance, known.near)
             free = time_to_cover(distance, speed, acceleration)
             limit = time_to_cover(allowed, speed, acceleration)
@@ -252,9 +253,10 @@ class OpenContacts:
         return through
 
     def _nearness(self, c: int, t: float) -> Nearness:
-        key = c, bool(self.system.modes[c] == FREE)
+        key, system = (c, bool(self.system.modes[c] == FREE)), self.system
         if key not in self._known:
-            self._known[key] = Nearness(self.system, c, t)
+            others = (known for known in self._known.values() if known.has_the_bodies_of(c))
+            self._known[key] = Nearness(system, c, t, next((known.search for known in others), None))
         return self._known[key]
 
     def _distance(self, known: Nearness, t: float) -> float:
@@ -291,8 +293,9 @@ class OpenContacts:
                 return False
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
-                candidates = known.look(t).candidates
-                if any(-_DEEPER * way < found.gap < 0.0 and not self._is_present(c, found) for found in candidates):
+                inside = (found for found in known.look(t).candidates if -_DEEPER * way < found.gap < 0.0)
+                if any(not (self._is_present(c, found) and known.is_near(found)) for found in inside):
+                    # which was not followed there, or from far away
                     self._cut = 0.5 * step
                     return False
         return True

@@ -13,7 +13,7 @@ Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever
 state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
 
 Here are the pieces: the problem without units, the residual of a result, and what forces and velocities say of modes.
-`newton` solves the equations of given modes; where these come from is the business of `attempt` and `solve`.
+`newton` solves the equations of given modes; where these come from is the business of `starts` and `solve`.
 
 Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
 multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
@@ -38,7 +38,7 @@ from ..workspace import INTEGERS, REALS, Layout, Workspace
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-# A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
+# A contact whose forces and velocities are this much smaller than another's is measured on the other's scale.
 FLOOR = 1e-5
 # Forces this much larger than what b asks for are only accepted if u is as accurate as without them.
 CANCELLATION = 1e4
@@ -94,7 +94,7 @@ CONE = Layout(
     start_modes=(INTEGERS, 1),  # (n,)
     touching=(INTEGERS, 1),  # (n,) see `newton.close_touching`
     homotopy=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
-    path=(REALS, 2),  # (4, 3n) r, gap, weight, ... of the same
+    homotopy_rows=(REALS, 2),  # (4, 3n) r, gap, weight, ... of the same
 )
 cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
@@ -132,7 +132,7 @@ def cone_workspace(contacts: int) -> Workspace:
     for name in ("trial_modes", "start_modes", "touching"):
         space.scratch(name, contacts)
     space.scratch("homotopy", 8, rows + 1)
-    space.scratch("path", 4, rows)
+    space.scratch("homotopy_rows", 4, rows)
     return space
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..dynamics.system import System
 from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, LOOK_ROW, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM, SCAN_ROWS
-from .accuracy import sizes_of_gaps
 from .steps import LOOK, PROJECT, PROJECT_EVALUATED, run_task
 
 # So many output times there is room for in every system.
@@ -39,7 +38,6 @@ class RunSystem(System):
         self.scratch("sought", items, EVENTS_PER_CONTACT)
         self.scratch("brackets", 3, SCAN_ROOM)
         # see `accuracy.set_accuracy`
-        self.gap_sizes = sizes_of_gaps(self)
         self.gap_accuracy = self.finest_hops = self.lowest_hops = self.hop_speeds = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from itertools import takewhile
+from itertools import compress, takewhile
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
@@ -57,9 +57,17 @@ class Layout:
         # the last extents, where they are the same in all workspaces, are constants to kernels
         self.inner = {array: _numbers_at_end(extents[1:]) for array, extents in self.extents.items()}
         self.places = {array: i for i, array in enumerate(arrays)}
+        self._known: dict[tuple[str, ...], list[tuple[str, tuple[Any, ...]]]] = {}
         # numba's type of such a workspace, and `at(address)` for entry kernels, which are given the address
         self.type = _TYPES[name] = WorkspaceType(self)
         self.at = _workspace_at(self.type)
+
+    def known_by(self, sizes: tuple[str, ...]) -> list[tuple[str, tuple[Any, ...]]]:
+        """Arrays and extents, of those whose extents are numbers, or among these sizes."""
+        if sizes not in self._known:
+            known = [all(isinstance(extent, int) or extent in sizes for extent in of) for of in self.extents.values()]
+            self._known[sizes] = list(compress(self.extents.items(), known))
+        return self._known[sizes]
 
 
 def _numbers_at_end(extents: tuple[Any, ...]) -> tuple[int, ...]:
@@ -246,10 +254,10 @@ class Workspace:
 
     def allocate(self, **sizes: int) -> None:
         """Make the arrays that are not there yet and whose extents are numbers, or among these sizes."""
-        for name, extents in self.layout.extents.items():
-            shape = [sizes.get(extent, extent) for extent in extents]
-            if name not in self.__dict__ and all(isinstance(extent, int) for extent in shape):
-                (self.scratch if name in self.layout.scratch else self.zeros)(name, *shape)
+        for name, extents in self.layout.known_by(tuple(sizes)):
+            if name not in self.__dict__:
+                make = self.scratch if CHECKED and name in self.layout.scratch else self.zeros
+                make(name, *[sizes.get(extent, extent) for extent in extents])
 
     def zeros(self, name: str, *shape: int) -> np.ndarray:
         """A new array of zeros under that name."""

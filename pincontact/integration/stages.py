@@ -40,9 +40,9 @@ _call_evaluation = kernel_caller(INTEGER, SYSTEM.type, REAL, INTEGER)
 
 
 @kernel
-def evaluate(system, time, only_kinematics):
+def evaluate(system, time, part):
     """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
-    return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
+    return _call_evaluation(system.callback.evaluation, system, time, part)
 
 
 @separate_kernel(NOTHING, SYSTEM.type, array_type(REALS, 1))

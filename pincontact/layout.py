@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
-from .workspace import INTEGERS, REALS, Layout, record
+from .workspace import INTEGERS, REALS, Layout, Scratch, record
 
 SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")
 
@@ -264,113 +264,124 @@ NOTHING_THERE = 1e300
 SAME_PLACE = 1e-6
 
 
+_REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
+# Extents are of `System`, those of a run of `RunSystem`; "given": an array of somebody else's is put there.
 SYSTEM = Layout(
     "system",
-    sizes=(SIZES, 0),
-    scalars=(SCALARS, 0),
-    callback=(CALLBACK, 0),
+    sizes=(SIZES,),
+    scalars=(SCALARS,),
+    callback=(CALLBACK,),
     # Pinocchio's data, read in place
-    mass=(REALS, 2),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
-    parents=(INTEGERS, 1),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
-    nle=(REALS, 1),  # (nv,) bias forces
-    jacobian=(REALS, 2, 6),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
-    joint_addresses=(INTEGERS, 2, 4),  # (njoints, 4): rotation, translation, v, a_gf
-    gravity=(REALS, 1),  # (3,)
-    tau=(REALS, 1),  # (nv,) joint torques of the user
-    damping=(REALS, 1),  # (nv,) viscous joint damping of the model
+    mass=(REALS, "given", "given"),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
+    parents=(INTEGERS, "some_nv"),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
+    nle=(REALS, "given"),  # (nv,) bias forces
+    jacobian=(REALS, "given", 6),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
+    joint_addresses=(INTEGERS, "joints", 4),  # (njoints, 4): rotation, translation, v, a_gf
+    gravity=(REALS, 3),  # (3,)
+    tau=(REALS, "nv"),  # (nv,) joint torques of the user
+    damping=(REALS, "nv"),  # (nv,) viscous joint damping of the model
     # joints: how q' follows from v
-    joint_table=(INTEGERS, 2, 4),  # (nblocks, 4): kind, index in q, index in v, coordinates
+    joint_table=(INTEGERS, "blocks", 4),  # (nblocks, 4): kind, index in q, index in v, coordinates
     # contacts
-    contact_int=(INTEGERS, 2, CONTACT_INTS),  # (nc, CONTACT_INTS)
-    contact_real=(REALS, 2, CONTACT_REALS),  # (nc, CONTACT_REALS)
-    side_int=(INTEGERS, 2, SIDE_INTS),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
-    side_shape=(REALS, 2, SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
-    side_domain=(REALS, 2, 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
-    side_base=(REALS, 2, 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
-    side_motion=(REALS, 2, MOTION_SIZE),  # (2 nc, 24) prescribed placement relative to the base, and its derivatives
-    side_motion_parameters=(REALS, 2, MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
-    support=(INTEGERS, 2),  # (2 nc, nv): velocity coordinates that move the side's joint
-    # results of one evaluation
-    frames=(REALS, 3, 8, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
-    derivatives=(REALS, 3, DERIVATIVE_ROWS, 3),  # (2 nc, 10, 3): the contour's, world axes, from its origin
-    basis=(REALS, 3, 3, 3),  # (nc, 3, 3): rows t1, second, n (world)
-    slip=(REALS, 2, 3),  # (nc, 3): v_c = v_2 - v_1, world
-    gaps=(REALS, 2, 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
-    rates=(REALS, 2, 4),  # (nc, 4): rates of the contact coordinates u_1', u_2'
-    bias=(REALS, 2, 3),  # (nc, 3): row . gamma plus frame rates, along the basis
-    rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
-    force=(REALS, 2, 3),  # (nc, 3): force on body 2 along the basis
-    relative_acceleration=(REALS, 2, 3),  # (nc, 3): along the basis, for events
-    event_functions=(
+    contact_int=(INTEGERS, "items", CONTACT_INTS),  # (nc, CONTACT_INTS)
+    contact_real=(REALS, "items", CONTACT_REALS),  # (nc, CONTACT_REALS)
+    side_int=(
+        INTEGERS,
+        "sides",
+        SIDE_INTS,
+    ),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    side_shape=(REALS, "sides", SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
+    side_domain=(REALS, "sides", 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
+    side_base=(REALS, "sides", 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
+    side_motion=(
         REALS,
-        2,
-        EVENTS_PER_CONTACT,
-    ),  # (nc, 5): event functions, positive while the mode holds
-    location=(REALS, 2, 4),  # (nc, 4): contact coordinates u_1 (2), u_2 (2)
+        "sides",
+        MOTION_SIZE,
+    ),  # (2 nc, 24) prescribed placement relative to the base, and its derivatives
+    side_motion_parameters=(REALS, "sides", MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
+    support=(INTEGERS, "sides", "some_nv"),  # (2 nc, nv): velocity coordinates that move the side's joint
+    # results of one evaluation
+    frames=(REALS, "sides", 8, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
+    derivatives=(REALS, "item_sides", DERIVATIVE_ROWS, 3),  # (2 nc, 10, 3): the contour's, world axes, from its origin
+    basis=(_REALS, "items", 3, 3),  # (nc, 3, 3): rows t1, second, n (world)
+    slip=(REALS, "items", 3),  # (nc, 3): v_c = v_2 - v_1, world
+    gaps=(_REALS, "items", 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
+    rates=(_REALS, "items", 4),  # (nc, 4): rates of the contact coordinates u_1', u_2'
+    bias=(REALS, "items", 3),  # (nc, 3): row . gamma plus frame rates, along the basis
+    rows=(REALS, "items", 3, "nv"),  # (nc, 3, nv): basis . (J_2 - J_1)
+    # zero where no evaluation has solved for a force: time stepping gives that of joints with the torques
+    force=(REALS, "items", 3),  # (nc, 3): force on body 2 along the basis
+    relative_acceleration=(_REALS, "items", 3),  # (nc, 3): along the basis, for events
+    event_functions=(_REALS, "items", EVENTS_PER_CONTACT),  # (items, 5): positive while the mode holds
+    location=(REALS, "items", 4),  # (nc, 4): contact coordinates u_1 (2), u_2 (2)
     # linear algebra
-    factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
-    acceleration=(REALS, 1),  # (nv,)
-    free_acceleration=(REALS, 1),  # (nv,)
-    constraint_rows=(REALS, 2),  # (3 nc, 3 nc + 1)
-    whitened_rows=(REALS, 2),  # (3 nc, nv): L^-T rows^T, transposed
-    whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
-    delassus=(REALS, 2),  # (3 nc, 3 nc + 1)
-    multipliers=(REALS, 1),  # (3 nc,)
-    right_side=(REALS, 1),  # (3 nc,)
-    row_index=(INTEGERS, 2, 2),  # (3 nc, 2): contact and basis row of each constraint row
-    permutation=(INTEGERS, 1),  # (3 nc,)
+    factor=(REALS, "nv", "nv"),  # (nv, nv) Cholesky factor of the mass matrix
+    acceleration=(_REALS, "nv"),  # (nv,)
+    free_acceleration=(_REALS, "nv"),  # (nv,)
+    constraint_rows=(_REALS, "rows", "bordered"),  # (3 nc, 3 nc + 1)
+    whitened_rows=(_REALS, "rows", "nv"),  # (3 nc, nv): L^-T rows^T, transposed
+    whitened_forces=(_REALS, "rows", "nv"),  # (3 nc, nv): the same for the force directions
+    delassus=(_REALS, "rows", "bordered"),  # (3 nc, 3 nc + 1)
+    multipliers=(_REALS, "rows"),  # (3 nc,)
+    right_side=(_REALS, "rows"),  # (3 nc,)
+    row_index=(_INTEGERS, "rows", 2),  # (3 nc, 2): contact and basis row of each constraint row
+    permutation=(_INTEGERS, "rows"),  # (3 nc,)
     # Runge-Kutta
-    state=(REALS, 1),  # (ny,) at the start of the step: q, v, contact coordinates, quadratures
-    stage_state=(REALS, 1),  # (ny,)
-    new_state=(REALS, 1),  # (ny,)
-    next_state=(REALS, 1),  # (ny,) start of the next step, and its slope, while outputs of this one are written
-    next_slope=(REALS, 1),  # (ny,)
-    slopes=(REALS, 2),  # (stages, ny)
-    coefficients=(REALS, 2),  # (stages, stages)
-    nodes=(REALS, 1),  # (stages,)
-    weights_error=(REALS, 2),  # (2, stages)
-    q=(REALS, 1),  # (nq,) handed to Pinocchio
-    v=(REALS, 1),  # (nv,)
-    scale=(REALS, 1),  # (2,) rtol, atol
-    absolute=(REALS, 1),  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
+    state=(REALS, "ny"),  # (ny,) at the start of the step: q, v, contact coordinates, quadratures
+    stage_state=(_REALS, "run_ny"),  # (ny,)
+    new_state=(_REALS, "run_ny"),  # (ny,)
+    next_state=(_REALS, "run_ny"),  # (ny,) start of the next step, and its slope, while outputs of this one are written
+    next_slope=(_REALS, "run_ny"),  # (ny,)
+    slopes=(_REALS, MAX_STAGES, "run_ny"),  # (stages, ny)
+    coefficients=(REALS, "given", "given"),  # (stages, stages)
+    nodes=(REALS, "given"),  # (stages,)
+    weights_error=(REALS, "given", "given"),  # (2, stages)
+    q=(REALS, "nq"),  # (nq,) handed to Pinocchio
+    v=(REALS, "nv"),  # (nv,)
+    scale=(REALS, 2),  # (2,) rtol, atol
+    absolute=(REALS, "run_ny"),  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
     # scratch
-    location_system=(REALS, 2, 8),  # (4, 8)
-    vectors=(REALS, 2, 3),  # (16, 3)
-    local=(REALS, 2, 3),  # (10, 3)
-    work=(REALS, 1),  # (nv,)
-    correction_q=(REALS, 1),  # (nv,)
-    correction_v=(REALS, 1),  # (nv,)
-    dense=(REALS, 2),  # (DENSE_ROWS, ny) coefficients of the interpolant
-    dense_weights=(REALS, 2),  # (DENSE_ROWS, stages + 1)
-    counters=(COUNTERS, 0),
+    location_system=(_REALS, 4, 8),  # (4, 8)
+    vectors=(_REALS, 16, 3),  # (16, 3)
+    local=(_REALS, DERIVATIVE_ROWS, 3),  # (10, 3)
+    work=(_REALS, "some_nv"),  # (nv,)
+    correction_q=(_REALS, "nv"),  # (nv,)
+    correction_v=(_REALS, "nv"),  # (nv,)
+    dense=(_REALS, DENSE_ROWS, "run_ny"),  # (DENSE_ROWS, ny) coefficients of the interpolant
+    dense_weights=(REALS, "given", "given"),  # (DENSE_ROWS, stages + 1)
+    counters=(COUNTERS,),
     # outputs
-    output_times=(REALS, 1),  # (OUTPUT_COUNT,) s
-    recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
-    recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
+    output_times=(REALS, "given"),  # (OUTPUT_COUNT,) s
+    recorded_reals=(REALS, "given", "given"),  # (BLOCK, ROW_WIDTH) rows, see `recording`
+    recorded_integers=(INTEGERS, "given", "given"),  # (BLOCK, ...)
     # joint coordinates with limits or dry friction, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
     joint_count=(INTEGERS, 1),  # (1,): ng
-    joint_int=(INTEGERS, 2, JOINT_INTS),  # (ng, JOINT_INTS)
-    joint_real=(REALS, 2, JOINT_REALS),  # (ng, JOINT_REALS)
+    joint_int=(INTEGERS, "limits", JOINT_INTS),  # (ng, JOINT_INTS)
+    joint_real=(REALS, "limits", JOINT_REALS),  # (ng, JOINT_REALS)
     # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
     resistance_count=(INTEGERS, 1),  # (1,): nr
     # least and largest event functions of a step's stages, and one choice among redundant forces
-    lowest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    highest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    lowest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    highest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     # (2 (nc + ng + nr) + 1, 2 POLYNOMIAL_SIZE - 1): shares of a step, v_c across directions and along, see `steps`
-    across=(REALS, 2),
-    reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
+    across=(_REALS, "across_rows", 2 * POLYNOMIAL_SIZE - 1),
+    reference=(
+        REALS,
+        "items",
+        3,
+    ),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
     # how the reference moves: see `equations`
-    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) when it was chosen
-    reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
-    # event functions along a step: at which shares of it, the evaluations' statuses, and their values
-    scan_shares=(REALS, 1),  # (SCAN_ROWS,)
-    scan_status=(INTEGERS, 1),  # (SCAN_ROWS,)
-    scan_event_functions=(REALS, 3),  # (SCAN_ROWS, nc + ng + nr, EVENTS_PER_CONTACT)
+    reference_start=(REALS, "items", 3),  # (nc + ng + nr, 3) when it was chosen
+    reference_slope=(REALS, 2, "rows", "nv"),  # (2, 3 (nc + ng + nr), nv)
+    # event functions of all items along a step: at which shares of it, the evaluations' statuses, and their values
+    scan_shares=(_REALS, SCAN_ROWS),  # (SCAN_ROWS,)
+    scan_status=(_INTEGERS, SCAN_ROWS),  # (SCAN_ROWS,)
+    scan_event_functions=(_REALS, SCAN_ROWS, "run_items", EVENTS_PER_CONTACT),
     # what event functions may be below zero, and which are looked at for zeros: see `crossings`
-    slack=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    sought=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    slack=(REALS, "run_items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    sought=(_REALS, "run_items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     # shares of a step with values around a zero, of a function and of a polynomial, whose coefficients follow
-    brackets=(REALS, 2, SCAN_ROOM),  # (3, SCAN_ROOM)
+    brackets=(_REALS, 3, SCAN_ROOM),  # (3, SCAN_ROOM)
 )
 
 # the workspace at an address that Python gives an entry kernel

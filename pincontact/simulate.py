@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,27 +64,91 @@ Control = Callable[[float, np.ndarray, np.ndarray], "ArrayLike"]
 EventFunction = Callable[[float, np.ndarray, np.ndarray], float]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Request:
-    """A run that is asked for, checked: where it starts, how long it lasts, and its options as in `simulate`.
+    """A run that is asked for: the arguments of `simulate`, and what `check` makes of them.
 
-    users: events of the user; times: of outputs in s, or None for every step; breakpoints: in order, inside the run;
-    began: the clock's time in s.
+    began: the clock's time in s; pair: the Runge-Kutta pair, None for time stepping; users: events of the user; times:
+    of outputs in s, or None for every step; jumps: the breakpoints in order, inside the run.
     """
 
     scene: Scene
     state: State
     duration: float
+    rtol: float
+    atol: float
+    t_eval: ArrayLike | None
+    method: str
+    control: Control | None
+    events: EventFunction | Sequence[EventFunction] | None
+    progress: bool
+    energies: bool
+    max_step: float
+    first_step: float | None
+    fixed_step: float | None
     dt: float | None
     max_steps: int
-    users: list[UserEvent]
-    times: np.ndarray | None
-    breakpoints: list[float]
-    control: Control | None
-    energies: bool
-    progress: bool
+    breakpoints: ArrayLike | None
+    fallback: str | None
     contact_solver: str
-    began: float
+    dense_output: bool
+    step: float | None
+    began: float = field(default_factory=time.perf_counter)
+    pair: Tableau | None = None
+    users: list[UserEvent] = field(default_factory=list)
+    times: np.ndarray | None = None
+    jumps: list[float] = field(default_factory=list)
+
+    def check(self) -> None:
+        """Raise what `simulate` raises for its arguments, before any work is done."""
+        check_state(self.scene, self.state)
+        _check_numbers(duration=self.duration, rtol=self.rtol, atol=self.atol, max_step=self.max_step)
+        steps = {"first_step": self.first_step, "fixed_step": self.fixed_step}
+        _check_numbers(**{name: size for name, size in steps.items() if size is not None})
+        if math.isinf(max(self.duration, self.rtol, self.atol)):
+            given = f"{self.duration}, {self.rtol}, {self.atol}"
+            raise ArgumentError(f"duration, rtol and atol must be finite, got {given}")
+        if not is_count(self.max_steps):
+            raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {self.max_steps!r}")
+        if self.fallback not in (None, "Moreau"):
+            raise ArgumentError(f"fallback must be 'Moreau' or None, got {self.fallback!r}")
+        if self.fallback is not None and self.method == "Moreau":
+            raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
+        self.dt, start, end = time_step(self.dt, self.step), self.state.t, self.state.t + self.duration
+        latest = max(abs(start), abs(end)) if self.duration > 0.0 else 0.0
+        if self.dt is not None and self.dt < _SHORTEST_STEP * latest:
+            raise ArgumentError(f"dt must be longer than times near {latest:.6g} s are rounded by, got {self.dt}")
+        check_contact_solver(self.contact_solver)
+        self.times, self.jumps = _output_times(self.t_eval, start, end), _breakpoints(self.breakpoints, start, end)
+        self.users = UserEvent.wrap(self.events)
+        for name in ("progress", "energies", "dense_output"):
+            check_flag(name, getattr(self, name))
+        if self.control is not None and not callable(self.control):
+            raise ArgumentError(f"control must be callable as control(t, q, v), got {self.control!r}")
+        self._check_method()
+
+    def _check_method(self) -> None:
+        """Find the method's pair, and check that it takes what is given."""
+        if not isinstance(self.method, str):
+            raise ArgumentError(f"method must be a name such as 'DOP853', got {self.method!r}")
+        self.pair = None if self.method == "Moreau" else tableau(self.method)
+        if self.dt is not None and "Moreau" not in (self.method, self.fallback):
+            raise ArgumentError(f"dt is for method 'Moreau'; method {self.method!r} takes fixed_step or max_step")
+        if self.dense_output and "Moreau" in (self.method, self.fallback):
+            raise ArgumentError("dense_output is for the event-driven methods, such as 'DOP853', without a fallback")
+        if self.pair is not None and self.fixed_step is None and self.rtol > self.pair.coarsest:
+            raise ArgumentError(
+                f"rtol must be at most {self.pair.coarsest:g} for method {self.method!r}, whose error estimate does "
+                f"not hold for longer steps, got {self.rtol:g}; method 'DOP853' takes it"
+            )
+        if self.pair is None:
+            # as SciPy does, of options that have no effect
+            defaults = inspect.signature(simulate).parameters
+            names = ("rtol", "atol", "max_step", "first_step", "fixed_step")
+            unused = [name for name in names if getattr(self, name) != defaults[name].default]
+            if unused:
+                text = f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt."
+                warnings.warn(text, stacklevel=4)
 
     def torque(self, system: System) -> Torque | None:
         """What asks the control for a system's torques."""
@@ -228,57 +292,16 @@ def simulate(
     >>> run.status, round(float(np.linalg.norm(run.v[-1, :3])), 6)
     (0, 0.714286)
     """
-    began = time.perf_counter()
-    check_state(scene, state)
-    _check_numbers(duration=duration, rtol=rtol, atol=atol, max_step=max_step)
-    _check_numbers(**{name: h for name, h in (("first_step", first_step), ("fixed_step", fixed_step)) if h is not None})
-    if math.isinf(max(duration, rtol, atol)):
-        raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
-    if not is_count(max_steps):
-        raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
-    if fallback not in (None, "Moreau"):
-        raise ArgumentError(f"fallback must be 'Moreau' or None, got {fallback!r}")
-    if fallback is not None and method == "Moreau":
-        raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
-    dt = time_step(dt, step)
-    latest = max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0
-    if dt is not None and dt < _SHORTEST_STEP * latest:
-        raise ArgumentError(f"dt must be longer than times near {latest:.6g} s are rounded by, got {dt}")
-    check_contact_solver(contact_solver)
-    times = _output_times(t_eval, state.t, state.t + duration)
-    jumps = _breakpoints(breakpoints, state.t, state.t + duration)
-    users = UserEvent.wrap(events)
-    for name, flag in (("progress", progress), ("energies", energies), ("dense_output", dense_output)):
-        check_flag(name, flag)
-    if control is not None and not callable(control):
-        raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
-    if not isinstance(method, str):
-        raise ArgumentError(f"method must be a name such as 'DOP853', got {method!r}")
-    pair = None if method == "Moreau" else tableau(method)
-    if dt is not None and "Moreau" not in (method, fallback):
-        raise ArgumentError(f"dt is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
-    if dense_output and "Moreau" in (method, fallback):
-        raise ArgumentError("dense_output is for the event-driven methods, such as 'DOP853', without a fallback")
-    if pair is not None and fixed_step is None and rtol > pair.coarsest:
-        raise ArgumentError(
-            f"rtol must be at most {pair.coarsest:g} for method {method!r}, whose error estimate does not hold for "
-            f"longer steps, got {rtol:g}; method 'DOP853' takes it"
-        )
-    if pair is None:
-        _warn_of_unused(rtol=rtol, atol=atol, max_step=max_step, first_step=first_step, fixed_step=fixed_step)
-    given = (dt, max_steps, users, times, jumps, control, energies, progress, contact_solver, began)
-    request = _Request(scene, state, duration, *given)
-    if pair is None:
-        return _simulate_moreau(request)
-    discrete = read_discrete if fallback is not None else None
-    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, discrete)
-    return _simulate_by_events(request, pair, rtol, atol, options, dense_output)
+    request = _Request(
+        scene, state, duration, rtol, atol, t_eval, method, control, events, progress, energies, max_step, first_step,
+        fixed_step, dt, max_steps, breakpoints, fallback, contact_solver, dense_output, step,
+    )  # fmt: skip
+    request.check()
+    return _simulate_moreau(request) if request.pair is None else _simulate_by_events(request, request.pair)
 
 
-def _simulate_by_events(
-    request: _Request, pair: Tableau, rtol: float, atol: float, options: Options, dense_output: bool
-) -> Trajectory:
-    """The run of an event-driven method; with `options.discrete` time stepping goes on where it could not."""
+def _simulate_by_events(request: _Request, pair: Tableau) -> Trajectory:
+    """The run of an event-driven method; with a fallback time stepping goes on where it could not."""
     compile_kernels()
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=True)
@@ -287,14 +310,15 @@ def _simulate_by_events(
     check_joint_limits(system.limits, state.q)
     write_discrete(system, state.discrete)
     torque = request.torque(system)
-    rk = RungeKutta(system, pair, rtol, atol, torque)
+    rk = RungeKutta(system, pair, request.rtol, request.atol, torque)
     rk.begin_at(state.q, state.v, state.location)
     with_torques = torque is not None or system.ng + system.nr > 0
     record = Record(system, state, with_torques)
-    dense = None
-    if dense_output:
-        options.pieces = Pieces(system)
-        dense = DenseOutput(scene, state, options.pieces, with_torques)
+    pieces = Pieces(system) if request.dense_output else None
+    dense = None if pieces is None else DenseOutput(scene, state, pieces, with_torques)
+    discrete = None if request.fallback is None else read_discrete
+    sizes = request.max_step, request.max_steps, request.fixed_step, request.first_step
+    options = Options(request.times, *sizes, request.jumps, discrete, pieces)
     restitution = [contact.restitution for contact in scene.contacts.values()]
     transitions = Transitions(rk, list(scene.contacts), restitution, duration, request.contact_solver)
     driver = Driver(rk, transitions, request.users, record.add, record.flush, options)
@@ -319,7 +343,7 @@ def _simulate_by_events(
     run = request.run(driver, result)
     if run.success and dense is None:
         put_back(scene, cached)
-    if options.discrete is not None and run.status in _FALLS_BACK:
+    if request.fallback is not None and run.status in _FALLS_BACK:
         return _fall_back(run, driver, request)
     return run
 
@@ -339,7 +363,7 @@ def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory
         duration=request.duration - (t - state.t),
         max_steps=max(1, request.max_steps - driver.steps - driver.rejected),
         times=None if request.times is None else request.times[request.times > t],
-        breakpoints=[jump for jump in request.breakpoints if jump > t],
+        jumps=[jump for jump in request.jumps if jump > t],
     )
     return _simulate_moreau(rest, lambda end: run.followed_by(end, t, event, works if request.energies else None))
 
@@ -374,7 +398,7 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
             system.tau[:] = tau
 
     size = DEFAULT_STEP if request.dt is None else request.dt
-    outputs = request.times, request.max_steps, torque, request.breakpoints
+    outputs = request.times, request.max_steps, torque, request.jumps
     driver = MoreauDriver(stepper, request.users, add, record.flush, size, *outputs)
 
     def result(code: int, message: str) -> Trajectory:
@@ -432,14 +456,6 @@ def _check_numbers(**numbers: Any) -> None:
             raise ArgumentError(f"{name} must be a number, got {value!r}")
         if not value > 0.0 and (value < 0.0 or name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
-
-
-def _warn_of_unused(**given: float | None) -> None:
-    """As SciPy does: options that have no effect with time stepping."""
-    defaults = inspect.signature(simulate).parameters
-    unused = [name for name, value in given.items() if value != defaults[name].default]
-    if unused:
-        warnings.warn(f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt.", stacklevel=3)
 
 
 def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray | None:

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import TYPE_CHECKING, Any
+from itertools import compress, takewhile
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -32,21 +33,46 @@ def record(kind: np.dtype[Any], *names: str) -> np.dtype[Any]:
     return np.dtype([(name, kind) for name in names])
 
 
-class Layout:
-    """Names, kinds and dimensions of the arrays of a kind of workspace.
+class Scratch(NamedTuple):
+    """What an array holds that is written before it is read."""
 
-    arrays: name -> (REALS, INTEGERS or a record's dtype, number of dimensions; 0 for a single record), and after these
-    the extents of its last dimensions, where they are the same in all workspaces
+    kind: np.dtype[Any]
+
+
+class Layout:
+    """Names, kinds and extents of the arrays of a kind of workspace.
+
+    arrays: name -> (REALS, INTEGERS or a record's dtype, or one of these as `Scratch`, and the extents, none for a
+    single record: numbers, or names of sizes that a workspace is given, see `Workspace.allocate`)
     """
 
     def __init__(self, name: str, **arrays: tuple[Any, ...]):
         self.name = name
-        self.arrays = {array: declared[:2] for array, declared in arrays.items()}
-        self.inner: dict[str, tuple[int, ...]] = {array: declared[2:] for array, declared in arrays.items()}
+        self.scratch = {array for array, (kind, *_) in arrays.items() if isinstance(kind, Scratch)}
+        self.extents: dict[str, tuple[Any, ...]] = {array: declared[1:] for array, declared in arrays.items()}
+        kinds = {
+            array: declared[0].kind if array in self.scratch else declared[0] for array, declared in arrays.items()
+        }
+        self.arrays = {array: (kind, len(self.extents[array])) for array, kind in kinds.items()}
+        # the last extents, where they are the same in all workspaces, are constants to kernels
+        self.inner = {array: _numbers_at_end(extents[1:]) for array, extents in self.extents.items()}
         self.places = {array: i for i, array in enumerate(arrays)}
+        self._known: dict[tuple[str, ...], list[tuple[str, tuple[Any, ...]]]] = {}
         # numba's type of such a workspace, and `at(address)` for entry kernels, which are given the address
         self.type = _TYPES[name] = WorkspaceType(self)
         self.at = _workspace_at(self.type)
+
+    def known_by(self, sizes: tuple[str, ...]) -> list[tuple[str, tuple[Any, ...]]]:
+        """Arrays and extents, of those whose extents are numbers, or among these sizes."""
+        if sizes not in self._known:
+            known = [all(isinstance(extent, int) or extent in sizes for extent in of) for of in self.extents.values()]
+            self._known[sizes] = list(compress(self.extents.items(), known))
+        return self._known[sizes]
+
+
+def _numbers_at_end(extents: tuple[Any, ...]) -> tuple[int, ...]:
+    numbers = len(list(takewhile(lambda extent: isinstance(extent, int), reversed(extents))))
+    return extents[len(extents) - numbers :]
 
 
 class WorkspaceType(types.Record):
@@ -225,6 +251,13 @@ class Workspace:
         """Place an array under its name; it is kept alive as long as this workspace is. address: its own, if known."""
         self._place(name, array, address_of(array) if CHECKED or not address else address)
         return array
+
+    def allocate(self, **sizes: int) -> None:
+        """Make the arrays that are not there yet and whose extents are numbers, or among these sizes."""
+        for name, extents in self.layout.known_by(tuple(sizes)):
+            if name not in self.__dict__:
+                make = self.scratch if CHECKED and name in self.layout.scratch else self.zeros
+                make(name, *[sizes.get(extent, extent) for extent in extents])
 
     def zeros(self, name: str, *shape: int) -> np.ndarray:
         """A new array of zeros under that name."""

@@ -67,7 +67,7 @@ def test_an_array_beyond_the_memory_at_its_address_is_an_error(tmp_path):
     """Of uncompiled kernels, which know how long each array is."""
     script = """
 from pincontact.workspace import REALS, Layout, Workspace, matrix_at
-workspace = Workspace(Layout("test", a=(REALS, 2)))
+workspace = Workspace(Layout("test", a=(REALS, "n", "m")))
 workspace.zeros("a", 2, 3)
 address = workspace.table[0, 0]
 assert matrix_at(address, 2, 3).shape == (2, 3)
@@ -84,7 +84,7 @@ except IndexError as error:
 def test_memory_that_nobody_has_written_is_no_number(tmp_path):
     script = """
 from pincontact.workspace import INTEGERS, REALS, Layout, Workspace
-workspace = Workspace(Layout("test", a=(REALS, 1), b=(INTEGERS, 1), c=(REALS, 1)))
+workspace = Workspace(Layout("test", a=(REALS, "n"), b=(INTEGERS, "n"), c=(REALS, "n")))
 print(workspace.scratch("a", 2), workspace.scratch("b", 1)[0] < -2**32, workspace.zeros("c", 2))
 """
     assert in_checked_build(tmp_path, script).stdout == "[nan nan] True [0. 0.]\n"
@@ -95,7 +95,7 @@ def test_an_array_of_kernels_is_put(tmp_path):
     script = """
 import numpy as np
 from pincontact.workspace import REALS, Layout, Workspace
-workspace = Workspace(Layout("test", a=(REALS, 2, 3)))
+workspace = Workspace(Layout("test", a=(REALS, "n", 3)))
 workspace.zeros("a", 2, 3)
 workspace.a += 1.0
 assert workspace.a.sum() == 6.0

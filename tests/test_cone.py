@@ -12,10 +12,10 @@ from calling import from_python
 from pincontact import linalg
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
 from pincontact.friction import newton, redundant
-from pincontact.friction.attempt import solve_cones
 from pincontact.friction.centred import centred_forces
 from pincontact.friction.cone import CONE, RANK_TOLERANCE, cone_workspace
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
+from pincontact.friction.starts import solve_cones
 
 GRAVITY = 9.81
 
@@ -765,7 +765,7 @@ def test_belts_that_jam_a_body_are_given_up_soon():
     assert solver.jammed
     assert solver.certificate is None
     # Two paths, no program: no long search.
-    assert solver.path_count == 2
+    assert solver.homotopy_count == 2
     assert solver.qp_count == 0
     with pytest.raises(SolverError, match="larger than any bound"):
         solve_contacts(delassus, b, mu)
@@ -787,7 +787,7 @@ def test_quick_searches_are_short():
     delassus, b, mu = jammed_problem()
     solver = ContactSolver(quick=True)
     assert not solver.solve(delassus, b, mu)
-    assert solver.path_count == 1
+    assert solver.homotopy_count == 1
     assert solver.qp_count == 0
     # What is not hard is solved all the same.
     rng = np.random.default_rng(3)

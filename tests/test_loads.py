@@ -375,4 +375,6 @@ def test_held_contacts_keep_from_jamming_as_joints_do():
             one, two = by_joint.q[-1], by_contact.q[-1, 3:]
             # a tenth of the tolerance
             assert two * np.sign(one @ two) == pytest.approx(one, abs=1e-9), seed
+        if min(kinds.values()) == 3:
+            break
     assert min(kinds.values()) == 3, kinds

@@ -281,7 +281,7 @@ def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
     problem = made_problem(np.random.default_rng(4))
     start = np.random.default_rng(5).normal(size=21)
     monkeypatch.setattr(loads.ScaledLoads, "newton", lambda scaled, y: (y, 1.0))
-    far, near = (problem._sweep(start, rounds) for rounds in ((1,), (1, 3, 30)))
+    far, near = (problem._gauss_seidel(start, rounds) for rounds in ((1,), (1, 3, 30)))
     assert 0.0 < near[1] < far[1]
     # one sweep, three and thirty, from where no other unit has a force: each goes on from the last
     arrays = swept(problem)
@@ -292,6 +292,6 @@ def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
         assert found == pytest.approx(f, abs=1e-12)
     problem.base[2] = -math.inf
     with np.errstate(all="ignore"):
-        best, least = problem._sweep(start, (1, 3))
+        best, least = problem._gauss_seidel(start, (1, 3))
     assert np.isfinite(best).all()
     assert least == math.inf

@@ -145,7 +145,7 @@ def test_the_bias_of_the_acceleration(side, pattern, k1, k2):
     way = np.random.default_rng(k1 + 3 * k2).normal(size=k1 + k2)
     system.rates[1, :k1], system.rates[1, 2 : 2 + k2] = way[k2:], way[:k2]
     basis, vectors = np.zeros((3, 3)), system.vectors
-    basis_at_contact(pattern, side, *system.derivatives[2:], vectors[parts.NORMAL], basis)
+    basis_at_contact(pattern, side, system.derivatives[3], vectors[parts.NORMAL], basis)
     slip = contact.slip(np.zeros(k1 + k2), 0.0)
     system.basis[1], system.slip[1], system.bias[1] = basis, slip, np.nan
     acceleration_bias(system, 1)

@@ -955,7 +955,7 @@ def test_when_there_is_no_choice(monkeypatch):
     system.counters["row_rank"] = 1
     # loads of what slides alone
     unload = saying(True)
-    monkeypatch.setattr(solver, "_unload", unload)
+    monkeypatch.setattr(solver, "_choose_least_loads", unload)
     for i, mode in ((0, SLIPPING), (1, SLIPPING)):
         system.contact_int[i, MODE] = mode
         assert solver.redistribute(T, never, 1)
@@ -1032,7 +1032,7 @@ def test_loads_within_round_off_are_none():
     evaluate = Played(
         feet, then=lambda call: feet.event_functions.__setitem__((slice(2), NORMAL_EVENT), [1.0, -0.9e-11])
     )
-    assert ModeSolver(feet)._unload(T, evaluate, None)
+    assert ModeSolver(feet)._choose_least_loads(T, evaluate, None)
     assert len(evaluate.asked) == 1
 
 
@@ -1045,7 +1045,7 @@ def test_loads_of_bilateral_contacts_have_either_sign():
         system.event_functions[:, NORMAL_EVENT] = system.contact_int[:, NORMAL_SIGN] * [2.0, -3.0, 0.5]
 
     evaluate = Played(system, EVENT, then=then)
-    assert ModeSolver(system)._unload(T, evaluate, None)
+    assert ModeSolver(system)._choose_least_loads(T, evaluate, None)
     assert system.contact_int[:, NORMAL_SIGN].tolist() == [1, -1, 1]
     assert len(evaluate.asked) == 2
 
@@ -1062,7 +1062,7 @@ def test_least_loads_that_are_not_negative(seed):
     feet = Feet(operator, loads)
     solver = ModeSolver(feet)
     feet.scalars["has_reference"] = 1.0
-    found = solver._unload(T, feet, None)
+    found = solver._choose_least_loads(T, feet, None)
     # what is not found leaves the choice as it was
     assert feet.scalars["has_reference"] == (0.0 if found else 1.0)
     signs = feet.contact_int[:, NORMAL_SIGN].tolist()
@@ -1081,13 +1081,13 @@ def test_least_loads_that_are_not_negative(seed):
     # of one whose load has ended it is known that the sign is the other one; else there is nothing to be had
     wrong = signs.index(1)
     kept = feet.contact_int[:, NORMAL_SIGN].copy()
-    assert not solver._unload(T, feet, wrong)
+    assert not solver._choose_least_loads(T, feet, wrong)
     assert (feet.contact_int[:, NORMAL_SIGN] == kept).all()
-    assert not solver._unload(T, never, n)
+    assert not solver._choose_least_loads(T, never, n)
     if 0 in signs:
         feet.contact_int[signs.index(0), NORMAL_SIGN] = 1
         before, feet.evaluations = solver.redistributions, 0
-        assert solver._unload(T, feet, signs.index(0))
+        assert solver._choose_least_loads(T, feet, signs.index(0))
         # with that sign at once
         assert (solver.redistributions, feet.evaluations) == (before + 1, 1)
         assert feet.contact_int[:, NORMAL_SIGN].tolist() == signs

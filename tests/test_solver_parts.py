@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import scipy
 from calling import from_python
-from test_cone_attempt import is_solution, regular
 from test_cone_parts import problem
+from test_cone_starts import is_solution, regular
 from test_load_solver import made_problem
 
 from pincontact import linalg
 from pincontact.friction import barrier, cone, solve
-from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
 from pincontact.friction.centred import Cone, Cones, central_force
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
+from pincontact.friction.starts import NEAR, WARM, WARM_PASSES
 
 least_norm = from_python(linalg.least_norm)
 gauss_seidel_pass = from_python(cone.gauss_seidel_pass)
@@ -48,8 +48,8 @@ def test_a_trace_of_compliance(nearest, seed, monkeypatch):
     asked, tasks = [], []
     blocks = delassus.diagonal().reshape(3, 3).mean(axis=1)
 
-    def follow(space, softened, *rest):
-        asked.append(softened - delassus)
+    def follow(problem):
+        asked.append(problem[0] - delassus)
         # as a path leaves them
         space.forces *= 1.0 + 1e-9
         return len(asked) == 2
@@ -62,7 +62,7 @@ def test_a_trace_of_compliance(nearest, seed, monkeypatch):
     monkeypatch.setattr(solver, "_homotopy", follow)
     monkeypatch.setattr(solve, "solve_cones", recorded)
     before = space.forces.copy()
-    assert solver._compliant_homotopy(space, delassus, b, mu)
+    assert solver._compliant_homotopy((delassus, b, mu))
     assert solver.residual <= solver.tolerance
     assert space.forces == pytest.approx(before, rel=1e-8, abs=1e-12 * np.abs(before).max())
     is_solution(delassus, b, mu, space)
@@ -82,7 +82,7 @@ def test_compliance_that_is_of_no_use(found, residual, jams, times, monkeypatch)
     kept = [array.tolist() for array in (space.modes, space.forces, space.velocities)]
     asked = []
 
-    def follow(space, *rest):
+    def follow(problem):
         asked.append(1)
         space.modes[:], space.forces[:], space.velocities[:] = 7, 8.0, 9.0
         solver.jammed = jams
@@ -90,7 +90,7 @@ def test_compliance_that_is_of_no_use(found, residual, jams, times, monkeypatch)
 
     monkeypatch.setattr(solver, "_homotopy", follow)
     monkeypatch.setattr(solve, "solve_cones", lambda *arguments: residual)
-    assert not solver._compliant_homotopy(space, delassus, b, mu)
+    assert not solver._compliant_homotopy((delassus, b, mu))
     assert [array.tolist() for array in (space.modes, space.forces, space.velocities)] == kept
     assert len(asked) == times
 
@@ -103,10 +103,10 @@ def test_sweeps_after_other_stages(seed):
     space = solver._workspace(3)
     space.forces[:] = 1e9
     assert not space.counts[KNOWN]
-    assert solver._gauss_seidel(space, delassus, b, mu, 1e-10)
+    assert solver._gauss_seidel((delassus, b, mu), 1e-10)
     is_solution(delassus, b, mu, space)
     assert solver.residual <= 1e-10
-    assert not solver._gauss_seidel(space, delassus, b, mu, -1.0)
+    assert not solver._gauss_seidel((delassus, b, mu), -1.0)
 
 
 def test_nothing_to_solve():
@@ -308,4 +308,4 @@ def test_two_opposite_contacts_hold_what_a_harder_squeeze_would():
 
 def test_a_new_solver_has_done_nothing():
     solver = ContactSolver()
-    assert (solver.residual, solver.jammed, solver.path_count, solver.qp_count) == (0.0, False, 0, 0)
+    assert (solver.residual, solver.jammed, solver.homotopy_count, solver.qp_count) == (0.0, False, 0, 0)

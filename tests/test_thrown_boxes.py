@@ -5,7 +5,7 @@ import pytest
 from thrown_boxes import thrown_box
 
 import pincontact as pc
-from pincontact.friction.loads import SETTLED, TOLERANCE, Loads
+from pincontact.friction.loads import RADII_TOLERANCE, TOLERANCE, Loads
 
 
 def test_thrown_boxes():
@@ -77,7 +77,7 @@ def test_contacts_and_resistances_together():
             assert laws_violated(product, forces, product.radii(forces)) < 1e-8
         start = forces * rng.uniform(0.5, 1.5)
         forces, _, residual, _ = product.solve_with_radii(start)
-        assert residual <= SETTLED
+        assert residual <= RADII_TOLERANCE
         # a residual of 1e-6, which is larger where the operator is badly conditioned
         assert laws_violated(product, forces, product.radii(start)) < 1e-4
         work, size = forces @ (product.base + 0.5 * product.gram @ forces), np.abs(forces) @ np.abs(product.base)

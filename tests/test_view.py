@@ -46,14 +46,8 @@ from pincontact.view.drawing import Drawing
 from pincontact.view.outlines import tile_size
 from pincontact.view.page import pack_commands
 from pincontact.view.palette import MODE_COLORS, contact_color
-from pincontact.view.replay import (
-    PARTS,
-    compose,
-    fitting_distance,
-    fitting_force_scale,
-    page_info,
-    scene_size,
-)
+from pincontact.view.picture import fitting_distance, fitting_force_scale, scene_size
+from pincontact.view.replay import PARTS, compose, page_info
 from pincontact.view.robot import draw_robot
 from pincontact.view.sampling import (
     Motion,

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from pincontact.jit import CHECKED, INTEGER, REAL, entry_kernel, kernel
-from pincontact.workspace import INTEGERS, REALS, Layout, Workspace, flat, record, square
+from pincontact.workspace import INTEGERS, REALS, Layout, Scratch, Workspace, flat, record, square
 
 LAYOUT = Layout(
     "a test's",
-    state=(record(REALS, "time", "step"), 0),
-    mass=(REALS, 2),
-    order=(INTEGERS, 1),
-    cube=(REALS, 3),
-    parts=(np.dtype([("kind", INTEGERS), ("weight", REALS)]), 1),
+    state=(record(REALS, "time", "step"),),
+    mass=(REALS, "rows", "rows"),
+    order=(Scratch(INTEGERS), "rows"),
+    cube=(REALS, "depth", "rows", "rows"),
+    parts=(np.dtype([("kind", INTEGERS), ("weight", REALS)]), "parts"),
 )
 workspace_at = LAYOUT.at
 
@@ -84,6 +84,17 @@ def test_an_array_that_is_put_in_its_place_is_read_from_then_on():
     workspace.zeros("cube", 2, 5, 2)
     assert advance_at(workspace.address, 1.0) == 525
     assert workspace.mass is other and not other.any()
+
+
+def test_arrays_are_allocated_as_far_as_their_sizes_are_known():
+    workspace = Workspace(LAYOUT)
+    workspace.allocate(rows=3)
+    mass = workspace.mass
+    assert mass.shape == (3, 3) and not mass.any() and workspace.state["time"] == 0.0
+    assert (workspace.order < -1e9).all() == CHECKED
+    assert not {"cube", "parts"} & vars(workspace).keys()
+    workspace.allocate(rows=7, depth=2)
+    assert workspace.mass is mass and workspace.cube.shape == (2, 7, 7)
 
 
 def test_records_of_an_array_are_read_and_written_in_place():

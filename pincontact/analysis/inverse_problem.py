@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.friction_scaling import stretch
+from ..dynamics.friction_scaling import friction_scaling
 from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..errors import SolverError
 from ..friction.cone_least_squares import Region
@@ -259,7 +259,7 @@ class Problem:
                 self._add_row(normal, 0.0, np.inf, name)
             if not limited:
                 continue
-            scale = np.linalg.inv(stretch(system, c)) if integers[ANISOTROPIC] else _ROUND
+            scale = np.linalg.inv(friction_scaling(system, c)) if integers[ANISOTROPIC] else _ROUND
             cone = np.zeros((3, self.start.size))
             # torques are in parts of their lever
             cone[0] = normal * (limit if c < system.nc else 1.0)

@@ -211,8 +211,12 @@ def linearize(
         raise StateError(
             f"{instant.at_limit()[0]} rests with its friction just at the limit: no linear motion describes it"
         )
+    return _linearized(instant, [_coordinate(instant.model, entry) for entry in coordinates], tolerance)
+
+
+def _linearized(instant: Instant, wanted: list[int], tolerance: float) -> Linearization:
+    """The linear motion about the state of an instant, in these velocity coordinates as far as they are independent."""
     q, v, model, nv = instant.q, instant.v, instant.model, instant.system.nv
-    wanted = [_coordinate(model, entry) for entry in coordinates]
     a = instant.evaluate()
     constrained, holonomic = instant.constrained(), instant.holonomic()
     # consistent deviations: dq = Z y; dv = W u + G y, with the constrained components of v_c staying zero

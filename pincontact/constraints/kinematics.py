@@ -197,7 +197,7 @@ def add_coordinates(integers, change, location):
 
 
 @kernel
-def basis_at_contact(pattern, side, first, second, normal, basis):
+def basis_at_contact(pattern, side, second, normal, basis):
     """Orthonormal rows (t1, second, n) at the contact; n points from body 1 into body 2."""
     t1, other, n = basis[0], basis[1], basis[2]
     scale = 1.0 / norm(second[1])
@@ -231,8 +231,7 @@ def contact_kinematics(system, c, with_bias):
         return status
     integers, basis, vectors, gaps = system.contact_int[c], system.basis[c], system.vectors, system.gaps[c]
     pattern, numbers = integers[PATTERN], system.contact_real[c]
-    first, second = system.derivatives[2 * c], system.derivatives[2 * c + 1]
-    basis_at_contact(pattern, integers[SIDE], first, second, vectors[NORMAL], basis)
+    basis_at_contact(pattern, integers[SIDE], system.derivatives[2 * c + 1], vectors[NORMAL], basis)
     if pattern == CROSSING_CURVES and dot(basis[2], numbers[LAST_NORMAL_X : LAST_NORMAL_X + 3]) < 0.0:
         # the normal has turned over: the curves went through parallel within the step
         return LOCATION_FAILED

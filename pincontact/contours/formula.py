@@ -51,19 +51,23 @@ class Formula:
     def _checked(
         self, function: Callable[..., Any], arguments: tuple[float, ...], what: str, shape: tuple[int, ...]
     ) -> np.ndarray:
-        shown = ", ".join(f"{value:.6g}" for value in arguments)
         try:
             result = np.asarray(function(*arguments), dtype=float)
         except Exception as error:
-            raise ContourError(f"{self.owner}: {what} raised {error!r} at ({shown})") from error
+            raise ContourError(f"{self.owner}: {what} raised {error!r} at {_shown(arguments)}") from error
         if result.size != math.prod(shape):
             raise ContourError(
                 f"{self.owner}: {what} must return {' x '.join(map(str, shape))} numbers, "
-                f"at ({shown}) there are {result.size}"
+                f"at {_shown(arguments)} there are {result.size}"
             )
-        if not np.isfinite(result).all():
-            raise ContourError(f"{self.owner}: {what} is not finite at ({shown}): {result.tolist()}")
+        # of a few numbers a list takes a fraction of the time of array functions
+        if not all(map(math.isfinite, result.ravel().tolist())):
+            raise ContourError(f"{self.owner}: {what} is not finite at {_shown(arguments)}: {result.tolist()}")
         return result.reshape(shape)
+
+
+def _shown(arguments: tuple[float, ...]) -> str:
+    return f"({', '.join(f'{value:.6g}' for value in arguments)})"
 
 
 def takes_time(owner: str, function: Callable[..., Any], parameters: int) -> bool:

@@ -28,7 +28,7 @@ from ..layout import (
     START,
     TANGENTS,
 )
-from .friction_scaling import stretch
+from .friction_scaling import friction_scaling
 from .units import whiten
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class _Alignment:
 
     def __init__(self, system: System, t: float, items: list[int], evaluate: Callable[[float], int]) -> None:
         self.system, self.t, self.items, self.evaluate = system, t, items, evaluate
-        self.stretches = np.array([stretch(system, i) for i in items])
+        self.scalings = np.array([friction_scaling(system, i) for i in items])
 
     def run(self) -> bool:
         directions = [slip_direction(self.system, i) for i in self.items]
@@ -182,11 +182,11 @@ class _Alignment:
         return np.where(sizes > 0.0, sizes, 1.0)
 
     def _project(self, angles: np.ndarray) -> np.ndarray | None:
-        """Angles after projections of friction on the rims of its disks, in stretched coordinates, as loads change."""
+        """Angles after projections of friction on the rims of its disks, in scaled coordinates, as loads change."""
         system = self.system
         if self._across(angles) is None:
             return None
-        rows = [self.stretches[k] @ system.rows[i, :2] for k, i in enumerate(self.items)]
+        rows = [self.scalings[k] @ system.rows[i, :2] for k, i in enumerate(self.items)]
         columns = whiten(system, np.vstack(rows).T)
         mobility = float(np.linalg.norm(columns, 2)) ** 2
         if not mobility > 0.0:
@@ -194,7 +194,7 @@ class _Alignment:
         for _ in range(_PROJECTIONS):
             directions = []
             for k, i in enumerate(self.items):
-                shape, angle = self.stretches[k], float(angles[k])
+                shape, angle = self.scalings[k], float(angles[k])
                 along = shape @ np.array([math.cos(angle), math.sin(angle)])
                 friction = np.linalg.norm(np.linalg.solve(shape, system.force[i, :2]))
                 along *= friction / np.linalg.norm(along)

@@ -323,8 +323,8 @@ def _finite(a, n):
     return total - total == 0.0
 
 
-@separate_kernel(INTEGER, SYSTEM.type, INTEGER, INTEGER)
-def contact_corrections(system, with_position, with_velocity):
+@separate_kernel(INTEGER, SYSTEM.type)
+def contact_corrections(system):
     """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
 
     Position: gaps of closed contacts to zero. Velocity: normal components of v_c, and tangential ones in stick.
@@ -337,11 +337,10 @@ def contact_corrections(system, with_position, with_velocity):
     measure_joint_gaps(system)
     measure_residuals(system, count)
     scalars.velocity_left = 0.0
-    if with_velocity != 0 and _least_correction(system, count, system.correction_v) < count:
+    if _least_correction(system, count, system.correction_v) < count:
         # redundant: whether they can be met together is another question
         scalars.velocity_left = velocity_left(system, count)
-    if with_position != 0:
-        _least_correction(system, move_normals_to_front(system, count), system.correction_q)
+    _least_correction(system, move_normals_to_front(system, count), system.correction_q)
     largest = 0.0
     for k in range(system.sizes.nv):
         largest = max(largest, abs(system.correction_q[k]))

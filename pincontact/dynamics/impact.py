@@ -67,7 +67,7 @@ def apply_impact(
 ) -> Impact | None:
     """Change the system's v by the impulses of an impact; None if no impulses satisfy the laws.
 
-    Uses rows, v_c and the factor of M of the last evaluation. closed: contacts that take part; ends: guarded joint
+    Uses rows, v_c and the factor of M of the last evaluation. closed: contacts that take part; ends: joint
     coordinates that are held at an end; restitution: contact -> coefficient, applied to the approach speed of v_c, 0
     for others, and lowered where it would create energy (`energy`); struck: contacts that were open before; jammed:
     an impact without collision, which no impulses would solve, too: the one that time stepping finds, however short its

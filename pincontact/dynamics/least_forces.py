@@ -45,23 +45,23 @@ def is_normal_of_curve(contact_int, c, row):
 
 
 @kernel
-def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
+def unit_of_force(system, c, row, own):
     """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
     the root of its mobility, the mean of J M^-1 J^T over its directions. Those that the contact has not, or along which
     no joint moves it, count as the largest.
 
     So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
     """
-    integers, numbers = contact_int[c], contact_real[c]
-    tangents = integers[TANGENTS]
-    on_curve = is_normal_of_curve(contact_int, c, row)
+    integers, numbers, rows = system.contact_int[c], system.contact_real[c], system.rows[c]
+    nv, work, tangents = system.sizes.nv, system.work, integers[TANGENTS]
+    on_curve = is_normal_of_curve(system.contact_int, c, row)
     if not on_curve and (row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0):
         return own
     total, largest, missing = own, own, 0
     for i in range(2):
         if on_curve:
             # the other normal and the tangent: the same whichever normals are taken
-            whiten(factor, parents, nv, rows[c, (row + 1 + i) % 3], work)
+            whiten(system.factor, system.parents, nv, rows[(row + 1 + i) % 3], work)
         elif i >= tangents:
             missing += 1
             continue
@@ -70,11 +70,11 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
                 # row i of the friction ellipse's scaling
                 first, second = numbers[SCALING_11 + i], numbers[SCALING_12 + i]
                 for k in range(nv):
-                    work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
+                    work[k] = first * rows[0, k] + second * rows[1, k]
             else:
                 for k in range(nv):
-                    work[k] = rows[c, i, k]
-            whiten(factor, parents, nv, work, work)
+                    work[k] = rows[i, k]
+            whiten(system.factor, system.parents, nv, work, work)
         size = inner(work, work, nv)
         missing += size <= IMMOBILE * own
         total += size
@@ -94,18 +94,7 @@ def weigh_forces(system, count):
     nv, row_index = system.sizes.nv, system.row_index
     for j in range(count):
         own = inner(whitened[j], whitened[j], nv)
-        unit = unit_of_force(
-            system.contact_int,
-            system.contact_real,
-            row_index[j, 0],
-            row_index[j, 1],
-            own,
-            system.rows,
-            system.factor,
-            system.parents,
-            nv,
-            system.work,
-        )
+        unit = unit_of_force(system, row_index[j, 0], row_index[j, 1], own)
         operator[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
         for i in range(count):
             operator[i, j] = inner(whitened[i], directions[j], nv) * operator[j, count]

@@ -35,7 +35,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
-from .friction_scaling import stretch
+from .friction_scaling import friction_scaling
 from .units import REDUNDANT
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class RedundantForces:
         slipping = any(modes[c] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
             # no force but loads to choose
-            return self._unload(t, evaluate, ended)
+            return self._choose_least_loads(t, evaluate, ended)
         rows = system.whitened_rows[:count]
         directions = system.whitened_forces[:count] if slipping else rows
         if not np.isfinite(directions).all():
@@ -155,7 +155,7 @@ class RedundantForces:
             system.contact_int[c, MODE] = FRICTIONLESS
         system.contact_int[c, NORMAL_SIGN] = 1
 
-    def _unload(self, t: float, evaluate, ended: int | None) -> bool:
+    def _choose_least_loads(self, t: float, evaluate, ended: int | None) -> bool:
         """Give the loads of what slides the least values that are not negative; False where contacts open instead.
 
         A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads
@@ -234,7 +234,7 @@ class RedundantForces:
             integers, mu = system.contact_int[c].tolist(), system.contact_real.item(c, MU_STATIC)
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
-            scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None
+            scaling = np.linalg.inv(friction_scaling(system, c)) if tangents and integers[ANISOTROPIC] else None
             if not integers[UNILATERAL]:
                 if not tangents or integers[PATTERN] == ON_CURVE:
                     continue

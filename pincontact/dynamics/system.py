@@ -14,7 +14,6 @@ from ..callback import kernel_address
 from ..constraints.stationary import INTEGERS_FOUND, REALS_FOUND, find_stationary
 from ..contacts import characteristic_length
 from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
-from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from ..errors import FrictionError, UnusableResult
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, closed_form
@@ -27,18 +26,13 @@ from ..layout import (
     ASPECT,
     CHART,
     CLOSED_FORM,
-    CONTACT_INTS,
-    CONTACT_REALS,
     EVALUATOR,
-    EVENTS_PER_CONTACT,
     FREE,
     FRICTIONLESS,
     HIGH_END,
     HIGH_FORCE,
     JOINT,
-    JOINT_INTS,
     JOINT_Q,
-    JOINT_REALS,
     JOINT_V,
     K1,
     K2,
@@ -70,7 +64,6 @@ from ..layout import (
     SCALING_11,
     SCALING_22,
     SIDE,
-    SIDE_INTS,
     SLIP_SIGN,
     SPAN,
     SPINNING,
@@ -129,22 +122,24 @@ class System(Workspace):
         nwork = NUMBER_OF_WORKS if works else 0
         ny = nq + nv + 4 * nc + nwork
         self.ny = ny
-        sizes = self.zeros("sizes")
         blocks = configuration_blocks(model)
         # whether velocities differ between the axes of joints and of their parents
         self.turns = any(block[0] in TURNING for block in blocks)
+        items, sides = max(self.items, 1), 2 * max(nc, 1)
+        # single records as arrays, which can be written to as a whole
+        sizes, scalars = self.zeros("sizes"), self.zeros("scalars")
         sizes[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
+        self.allocate(
+            nq=nq, nv=nv, some_nv=max(nv, 1), ny=ny, joints=model.njoints, blocks=len(blocks), limits=max(self.ng, 1),
+            items=items, sides=sides, item_sides=2 * items, rows=3 * items, bordered=3 * items + 1,
+        )  # fmt: skip
         # read at every call of a user's function: a field of a record takes as long as the call
-        scalars = self.zeros("scalars")
         self._time, self._bad_torque = scalars["time"], scalars["bad_torque"]
-        self.zeros("q", nq)
-        self.zeros("v", nv)
         self.q[:] = pin.neutral(model)
         self.pinocchio = PinocchioCalls(model, self.data, self.q, self.v)
         self._map_pinocchio()
-        self.zeros("joint_table", len(blocks), 4)[:] = np.reshape(blocks, (-1, 4))
+        self.joint_table[:] = np.reshape(blocks, (-1, 4))
         self._map_contacts()
-        self._allocate(max(self.items, 1), nv, ny)
         self._map_joint_limits(limits)
         self._map_resistances()
         self._map_calls()
@@ -154,35 +149,20 @@ class System(Workspace):
     def _map_pinocchio(self) -> None:
         data, model = self.data, self.model
         self.put("mass", data.M.T)
-        self.zeros("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
+        self.parents[: model.nv] = list(data.parents_fromRow)[: model.nv]
         self.bias_forces = self.put("nle", self.pinocchio.bias_forces)
         # of one degree of freedom Pinocchio gives a vector
         self.put("jacobian", data.J.reshape(6, -1).T)
-        addresses = self.zeros("joint_addresses", model.njoints, 4)
         for j in range(1, model.njoints):
             pose = data.oMi[j]
             parts = (pose.rotation, pose.translation, data.v[j].vector, data.a_gf[j].vector)
-            addresses[j] = [address_of(part) for part in parts]
-        self.zeros("gravity", 3)[:] = model.gravity.linear
-        self.zeros("tau", model.nv)
-        damping = self.zeros("damping", model.nv)
-        damping[:] = model.damping
+            self.joint_addresses[j] = [address_of(part) for part in parts]
+        self.gravity[:], self.damping[:] = model.gravity.linear, model.damping
 
     def _map_contacts(self) -> None:
-        nc = max(self.nc, 1)
-        self.zeros("contact_int", max(self.items, 1), CONTACT_INTS)
-        self.zeros("contact_real", max(self.items, 1), CONTACT_REALS)
         self.contact_real[:, [START_SPEED, LAST_SPEED]] = np.inf
         self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
-        self.zeros("side_int", 2 * nc, SIDE_INTS)
-        self.zeros("side_shape", 2 * nc, SHAPE_SIZE)
-        self.zeros("side_base", 2 * nc, 12)
-        self.zeros("side_domain", 2 * nc, 4)
-        self.zeros("side_motion", 2 * nc, MOTION_SIZE)
         self.python_drives: list[tuple[int, str, Motion]] = []
-        self.zeros("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
-        self.zeros("support", 2 * nc, max(self.nv, 1))
-        self.zeros("frames", 2 * nc, 8, 3)
         self._pools: list[np.ndarray] = []
         for c, contact in enumerate(self.contacts):
             integers, numbers = self.contact_int[c], self.contact_real[c]
@@ -242,52 +222,11 @@ class System(Workspace):
             if motion.kind == MOTION_CALLABLE:
                 self.python_drives.append((side, attached.name, motion))
 
-    def _allocate(self, nc: int, nv: int, ny: int) -> None:
-        rows = 3 * nc
-        self.zeros("derivatives", 2 * nc, DERIVATIVE_ROWS, 3)
-        self.scratch("basis", nc, 3, 3)
-        self.zeros("slip", nc, 3)
-        self.scratch("gaps", nc, 2)
-        self.scratch("rates", nc, 4)
-        self.zeros("bias", nc, 3)
-        self.zeros("rows", nc, 3, nv)
-        # zero where no evaluation has solved for a force: time stepping gives that of joints with the torques
-        self.zeros("force", nc, 3)
-        self.scratch("relative_acceleration", nc, 3)
-        self.scratch("event_functions", nc, EVENTS_PER_CONTACT)
-        self.zeros("location", nc, 4)
-        self.zeros("factor", nv, nv)
-        self.scratch("acceleration", nv)
-        self.scratch("free_acceleration", nv)
-        self.scratch("constraint_rows", rows, rows + 1)
-        self.scratch("whitened_rows", rows, nv)
-        self.scratch("whitened_forces", rows, nv)
-        self.scratch("delassus", rows, rows + 1)
-        self.scratch("multipliers", rows)
-        self.scratch("right_side", rows)
-        self.scratch("row_index", rows, 2)
-        self.scratch("permutation", rows)
-        self.zeros("state", ny)
-        self.scratch("location_system", 4, 8)
-        self.scratch("vectors", 16, 3)
-        self.scratch("local", DERIVATIVE_ROWS, 3)
-        self.scratch("work", max(nv, 1))
-        self.scratch("correction_q", nv)
-        self.scratch("correction_v", nv)
-        self.zeros("counters")
-        self.scratch("lowest", nc, EVENTS_PER_CONTACT)
-        self.scratch("highest", nc, EVENTS_PER_CONTACT)
-        self.zeros("reference", nc, 3)
-        self.zeros("reference_start", nc, 3)
-        self.zeros("reference_slope", 2, rows, nv)
-
     def _map_joint_limits(self, limits: Sequence[JointLimit]) -> None:
         """Joint coordinates with limits or dry friction are items after the contacts, of one constraint row each."""
         nc, ng = self.nc, self.ng
-        self.zeros("joint_count", 1)[0] = ng
+        self.joint_count[0] = ng
         self.limits = list(limits)
-        self.zeros("joint_int", max(ng, 1), JOINT_INTS)
-        self.zeros("joint_real", max(ng, 1), JOINT_REALS)
         for g, limit in enumerate(limits):
             self.joint_int[g, JOINT_Q], self.joint_int[g, JOINT_V] = limit.index_q, limit.index_v
             self.joint_real[g, LOW_FORCE], self.joint_real[g, HIGH_FORCE] = limit.low_force, limit.high_force
@@ -298,7 +237,7 @@ class System(Workspace):
 
     def _map_resistances(self) -> None:
         """Resistances to turning are rows after those of joint coordinates: see `resistance`."""
-        self.zeros("resistance_count", 1)[0] = self.nr
+        self.resistance_count[0] = self.nr
         for item, (c, spins) in enumerate(self.resistances, start=self.nc + self.ng):
             integers, numbers = self.contact_int[item], self.contact_real[item]
             law = self.contacts[c].friction
@@ -326,7 +265,7 @@ class System(Workspace):
         self.callback["asked"], self.callback["asked_with"] = asked, given
 
     def _map_calls(self) -> None:
-        callback = self.zeros("callback")
+        callback = self.callback
         calls = self.pinocchio
         for name, (function, given) in zip(("called", "called_next"), calls.algorithms):
             callback[name], callback[name + "_with"] = id(function), id(given)

@@ -22,7 +22,7 @@ from ..geometry.patterns import ON_CURVE
 from ..jit import REAL
 from ..layout import ANISOTROPIC, PATTERN, TANGENTS, UNILATERAL
 from ..linalg import inner
-from .friction_scaling import stretch
+from .friction_scaling import friction_scaling
 
 if TYPE_CHECKING:
     from .system import System
@@ -105,7 +105,7 @@ class ContactProblem:
         columns[:, places] = sign * whiten(system, system.rows[item, rows].T)
         before[places] = sign * self.relative(item, rows)
         if item < system.nc and system.contact_int[item, ANISOTROPIC]:
-            self.shapes[unit] = shape = stretch(system, item)
+            self.shapes[unit] = shape = friction_scaling(system, item)
             columns[:, :2], before[:2] = columns[:, :2] @ shape, shape @ before[:2]
         self.units[item] = unit
         self._columns.append(columns)

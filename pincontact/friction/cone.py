@@ -13,7 +13,7 @@ Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever
 state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
 
 Here are the pieces: the problem without units, the residual of a result, and what forces and velocities say of modes.
-`newton` solves the equations of given modes; where these come from is the business of `attempt` and `solve`.
+`newton` solves the equations of given modes; where these come from is the business of `starts` and `solve`.
 
 Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
 multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
@@ -34,11 +34,11 @@ from __future__ import annotations
 from math import inf, sqrt
 
 from ..jit import kernel
-from ..workspace import INTEGERS, REALS, Layout, Workspace
+from ..workspace import INTEGERS, REALS, Layout, Scratch, Workspace
 
 OPEN, STICK, SLIP = 0, 1, 2
 
-# A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
+# A contact whose forces and velocities are this much smaller than another's is measured on the other's scale.
 FLOOR = 1e-5
 # Forces this much larger than what b asks for are only accepted if u is as accurate as without them.
 CANCELLATION = 1e4
@@ -57,46 +57,6 @@ ESCAPED = 1e6
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 
-
-# What the solvers work in, by name; rows = 3n. But for what goes in and out, the problem is without units. Of slipping
-# contacts: direction of slip (by twos), length of the force, speed.
-CONE = Layout(
-    "cone",
-    modes=(INTEGERS, 1),  # (n,) in and out
-    forces=(REALS, 1),  # (3n,), in and out
-    velocities=(REALS, 1),  # (3n,), in and out
-    counts=(INTEGERS, 1),  # (COUNTS_LENGTH,) see below
-    reached=(REALS, 1),  # (1,): out, the least residual where it is above the tolerance
-    scaled=(REALS, 2),  # (3n, 3n) the Delassus matrix without units
-    system=(REALS, 2),  # (3n + 1, 3n + 1) Newton's matrix
-    gram=(REALS, 2),  # (3n + 1, 3n + 1)
-    low_rank=(REALS, 3),  # (4, 3n + 5, 3n), see `redundant`
-    c=(REALS, 1),  # (3n,) b
-    f=(REALS, 1),  # (3n,) forces
-    u=(REALS, 1),  # (3n,) velocities, g f + c
-    start=(REALS, 1),  # (3n,) forces begun from
-    rhs=(REALS, 1),  # (3n,) of Newton's equations
-    x=(REALS, 1),  # (3n,) their unknowns
-    row=(REALS, 1),  # (3n,) scratch
-    shift=(REALS, 1),  # (3n,) see `redundant.tilt_factor`
-    scale=(REALS, 1),  # (n,) factors from the forces to their units
-    size=(REALS, 1),  # (n,) of the terms in u
-    length=(REALS, 1),  # (n,)
-    speed=(REALS, 1),  # (n,)
-    sine=(REALS, 1),  # (n,) of the cones' half angles
-    cosine=(REALS, 1),  # (n,)
-    arc=(REALS, 1),  # (n,) by how much slips turn in a step
-    direction=(REALS, 1),  # (2n,)
-    angles=(REALS, 1),  # (CANDIDATES,) of slip of a single contact
-    order=(INTEGERS, 1),  # (3n + 1,) permutation of the elimination
-    first=(INTEGERS, 1),  # (n + 1,) first unknown of each contact
-    trial_modes=(INTEGERS, 1),  # (n,)
-    start_modes=(INTEGERS, 1),  # (n,)
-    touching=(INTEGERS, 1),  # (n,) see `newton.close_touching`
-    homotopy=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
-    path=(REALS, 2),  # (4, 3n) r, gap, weight, ... of the same
-)
-cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
 # last problem; how often there was something to begin from; in how many directions the last solution's forces may
 # change, and whether they depend on those that it was begun from; whether all states of a single contact were tried;
@@ -107,32 +67,55 @@ BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1
 COUNTS_LENGTH = TIMES + len(DECIDERS)
 
+_REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
+# What the solvers work in, by name; rows = 3n. But for what goes in and out, the problem is without units. Of slipping
+# contacts: direction of slip (by twos), length of the force, speed.
+CONE = Layout(
+    "cone",
+    modes=(INTEGERS, "contacts"),  # (n,) in and out
+    forces=(REALS, "rows"),  # (3n,), in and out
+    velocities=(_REALS, "rows"),  # (3n,), in and out
+    counts=(INTEGERS, COUNTS_LENGTH),  # (COUNTS_LENGTH,) see above
+    reached=(_REALS, 1),  # (1,): out, the least residual where it is above the tolerance
+    scaled=(_REALS, "rows", "rows"),  # (3n, 3n) the Delassus matrix without units
+    system=(_REALS, "bordered", "bordered"),  # (3n + 1, 3n + 1) Newton's matrix
+    gram=(_REALS, "bordered", "bordered"),  # (3n + 1, 3n + 1)
+    low_rank=(_REALS, 4, "tall", "rows"),  # (4, 3n + 5, 3n), see `redundant`
+    c=(_REALS, "rows"),  # (3n,) b
+    f=(_REALS, "rows"),  # (3n,) forces
+    u=(_REALS, "rows"),  # (3n,) velocities, g f + c
+    start=(_REALS, "rows"),  # (3n,) forces begun from
+    rhs=(_REALS, "rows"),  # (3n,) of Newton's equations
+    x=(_REALS, "rows"),  # (3n,) their unknowns
+    row=(_REALS, "rows"),  # (3n,) scratch
+    shift=(_REALS, "rows"),  # (3n,) see `redundant.tilt_factor`
+    scale=(_REALS, "contacts"),  # (n,) factors from the forces to their units
+    size=(_REALS, "contacts"),  # (n,) of the terms in u
+    length=(_REALS, "contacts"),  # (n,)
+    speed=(_REALS, "contacts"),  # (n,)
+    sine=(_REALS, "contacts"),  # (n,) of the cones' half angles
+    cosine=(_REALS, "contacts"),  # (n,)
+    arc=(_REALS, "contacts"),  # (n,) by how much slips turn in a step
+    direction=(_REALS, "pairs"),  # (2n,)
+    angles=(_REALS, CANDIDATES),  # (CANDIDATES,) of slip of a single contact
+    order=(_INTEGERS, "bordered"),  # (3n + 1,) permutation of the elimination
+    first=(_INTEGERS, "ends"),  # (n + 1,) first unknown of each contact
+    trial_modes=(_INTEGERS, "contacts"),  # (n,)
+    start_modes=(_INTEGERS, "contacts"),  # (n,)
+    touching=(_INTEGERS, "contacts"),  # (n,) see `newton.close_touching`
+    homotopy=(_REALS, 8, "bordered"),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
+    homotopy_rows=(_REALS, 4, "rows"),  # (4, 3n) r, gap, weight, ... of the same
+)
+cone_at = CONE.at
+
 
 def cone_workspace(contacts: int) -> Workspace:
-    """The arrays of `CONE` for problems of this many contacts; modes start as STICK, everything else as zero."""
-    rows = 3 * contacts
-    space = Workspace(CONE)
-    space.zeros("modes", contacts)[:] = STICK
-    space.zeros("forces", rows)
-    space.scratch("velocities", rows)
-    space.zeros("counts", COUNTS_LENGTH)[DECIDED] = UNDECIDED
-    space.scratch("reached", 1)
-    space.scratch("scaled", rows, rows)
-    space.scratch("system", rows + 1, rows + 1)
-    space.scratch("gram", rows + 1, rows + 1)
-    space.scratch("low_rank", 4, rows + 5, rows)
-    for name in ("c", "f", "u", "start", "rhs", "x", "row", "shift"):
-        space.scratch(name, rows)
-    for name in ("scale", "size", "length", "speed", "sine", "cosine", "arc"):
-        space.scratch(name, contacts)
-    space.scratch("direction", 2 * contacts)
-    space.scratch("angles", CANDIDATES)
-    space.scratch("order", rows + 1)
-    space.scratch("first", contacts + 1)
-    for name in ("trial_modes", "start_modes", "touching"):
-        space.scratch(name, contacts)
-    space.scratch("homotopy", 8, rows + 1)
-    space.scratch("path", 4, rows)
+    """The arrays of `CONE` for problems of this many contacts; modes start as STICK."""
+    rows, space = 3 * contacts, Workspace(CONE)
+    space.allocate(
+        contacts=contacts, ends=contacts + 1, pairs=2 * contacts, rows=rows, bordered=rows + 1, tall=rows + 5
+    )
+    space.modes[:], space.counts[DECIDED] = STICK, UNDECIDED
     return space
 
 

@@ -1,6 +1,6 @@
-"""Friction of two directions: an elliptic cone is a round one in stretched tangential coordinates.
+"""Friction of two directions: an elliptic cone is a round one in scaled tangential coordinates.
 
-With a contact's stretch A (symmetric, eigenvalues 1 along the first direction and `aspect` across it), forces
+With a contact's scaling A (symmetric, eigenvalues 1 along the first direction and `aspect` across it), forces
 F_t = A F_t' and velocities u_t' = A u_t have the same products, F_t' lies in the round cone of coefficient mu exactly
 where F_t lies in the elliptic one, and Coulomb's law between F_t' and u_t' is the associated law between F_t and u_t.
 """
@@ -15,7 +15,7 @@ from ..layout import ANISOTROPIC, ASPECT, SCALING_11, SCALING_12, SCALING_22
 
 @kernel
 def set_friction_scaling(numbers, x, y):
-    """The stretch of a contact whose first direction is (x, y), of any length, along (t1, second)."""
+    """The scaling of a contact whose first direction is (x, y), of any length, along (t1, second)."""
     squared = x * x + y * y
     more = (numbers[ASPECT] - 1.0) / squared
     numbers[SCALING_11] = 1.0 + more * y * y

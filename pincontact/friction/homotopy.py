@@ -38,7 +38,7 @@ FIRST_STEP, LONGER, SHORTER = 0.1, (4.0, 2.5, 1.5, 1.0, 0.7), 0.4
 SHORTEST_STEP, ROUND_OFF_STEP = 1e-8, 1e-13
 # Of the terms that cancel in y.
 ROUND_OFF = 1e-14
-# Rows of `cone.path`: of the problem, what is left of y's equation, units of forces, y's change along the path.
+# Of `cone.homotopy_rows`: r of the problem, what is left of y's equation, units of forces, y's change along the path.
 _R, _GAP, _WEIGHT, _SLOPE = range(4)
 
 
@@ -147,7 +147,7 @@ def circular_problem(delassus, b, mu, size, cone):
     n = mu.shape[0]
     rows = 3 * n
     g = cone.scaled
-    c, r, weight = cone.c, cone.path[_R], cone.path[_WEIGHT]
+    c, r, weight = cone.c, cone.homotopy_rows[_R], cone.homotopy_rows[_WEIGHT]
     largest = scale_problem(delassus, b, n, g, c, cone.scale, r)
     unit = cone_units(g, c, mu, weight) / size
     for k in range(rows):
@@ -171,7 +171,7 @@ def correct_point(tube, cone):
     how many it took into the tube, -1 where these are not enough."""
     rows = cone.forces.shape[0]
     g, system = cone.scaled, cone.system
-    c, r, gap, h = cone.c, cone.path[_R], cone.path[_GAP], cone.rhs
+    c, r, gap, h = cone.c, cone.homotopy_rows[_R], cone.homotopy_rows[_GAP], cone.rhs
     point = cone.homotopy
     tangent, ahead, change, rhs = point[1], point[2], point[3], point[4]
     y_ahead = point[7][:rows]
@@ -224,7 +224,7 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, steps):
     memory = point[5]
     y = point[6][:rows]
     y_ahead = point[7][:rows]
-    r, weight, slope = cone.path[_R], cone.path[_WEIGHT], cone.path[_SLOPE]
+    r, weight, slope = cone.homotopy_rows[_R], cone.homotopy_rows[_WEIGHT], cone.homotopy_rows[_SLOPE]
     unit, largest = circular_problem(delassus, b, mu, size, cone)
     if target == 1.0:
         for k in range(rows + 1):

@@ -54,12 +54,12 @@ _GROWING = tuple(2.0**k for k in range(14))
 _TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
 _SPEEDS = (1e3, 1e6)
-# Sweeps before every try of Newton's method; with given radii, which need no more than patience.
-_SWEEPS, _SETTLING = (20, 100, 500, 2500), (100, 1000, 5000)
-# In how many parts friction is let grow where sweeps come to nothing.
+# Gauss-Seidel passes before every try of Newton's method; with given radii, which need no more than patience.
+_PASSES, _PASSES_WITH_RADII = (20, 100, 500, 2500), (100, 1000, 5000)
+# In how many parts friction is let grow where Gauss-Seidel comes to nothing.
 _PARTS = (20, 200)
 # Residual up to which forces of given radii are taken.
-SETTLED = 1e-6
+RADII_TOLERANCE = 1e-6
 
 
 @dataclass
@@ -82,7 +82,7 @@ class Loads:
 
     def solve(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
         """Forces (3n,) from those given, and their residual: above `TOLERANCE` that is no solution."""
-        return self._unloaded(*self._sweep(forces, _SWEEPS))
+        return self._unloaded(*self._gauss_seidel(forces, _PASSES))
 
     def refine(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
         """The solution (3n,) that Newton's method comes to from forces near to it, and its residual."""
@@ -119,7 +119,7 @@ class Loads:
             radius_base=np.stack([radii, np.zeros_like(radii)], axis=1).ravel(),
             radius_rows=np.zeros_like(self.radius_rows),
         )
-        found, residual = given._sweep(forces, _SETTLING)
+        found, residual = given._gauss_seidel(forces, _PASSES_WITH_RADII)
         off = np.abs(self.radii(found) - radii).max(initial=0.0) / (float(radii.max(initial=0.0)) or 1.0)
         return found, given.modes(found), residual, float(off)
 
@@ -158,8 +158,8 @@ class Loads:
                 modes[i] = SLIP
         return modes
 
-    def _sweep(self, forces: np.ndarray, rounds: tuple[int, ...]) -> tuple[np.ndarray, float]:
-        """The best of what sweeps and Newton's method come to, and its residual."""
+    def _gauss_seidel(self, forces: np.ndarray, rounds: tuple[int, ...]) -> tuple[np.ndarray, float]:
+        """The best of what Gauss-Seidel and Newton's method come to, and its residual."""
         scaled, mu = ScaledLoads(self), self.coefficients
         drag = np.eye(self.base.size) if self.drag is None else self.drag
         # velocities for a unit of each, and radii
@@ -167,19 +167,19 @@ class Loads:
         f = np.zeros_like(forces)
         f[scaled.rows] = forces[scaled.rows]
         best, least = f.copy(), math.inf
-        for sweeps in rounds:
+        for passes in rounds:
             u = f @ response + self.base
             gauss_seidel_loads(
-                response, self.normal, self.tangents, mu, self.radius_base, radius_rows, self.along, f, u, sweeps
+                response, self.normal, self.tangents, mu, self.radius_base, radius_rows, self.along, f, u, passes
             )
             if not np.isfinite(f).all():
                 break
             y, residual = scaled.newton(scaled.unknowns(f))
-            swept = scaled.residual(scaled.unknowns(f))
+            reached = scaled.residual(scaled.unknowns(f))
             if residual <= TOLERANCE:
                 return scaled.forces(y), residual
-            if swept <= least:
-                best, least = f.copy(), swept
+            if reached <= least:
+                best, least = f.copy(), reached
         for parts in _PARTS:
             y = scaled.unknowns(np.zeros_like(forces))
             for part in range(1, parts + 1):
@@ -441,10 +441,10 @@ class _Disc:
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], INTEGER,
     when=CALLED,
 )  # fmt: skip
-def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows, along, f, u, sweeps):
+def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows, along, f, u, passes):
     """Passes of projected Gauss-Seidel over all units; f (3n,) and u = response^T f + base (3n,) are updated."""
     n, rows = mu.shape[0], f.shape[0]
-    for _ in range(sweeps):
+    for _ in range(passes):
         for i in range(n):
             k = 3 * i
             if normal[i] > 0.0 and response[k + 2, k + 2] > 0.0:

@@ -32,7 +32,7 @@ ROUND_OFF = 1e-14
 SPEED_TOLERANCE = 1e-12
 # Redundant forces are chosen once more where slips have turned by more than this (rad) since: at once if that is less
 # than this part of the turn before, else when all is solved and so many passes are left.
-SETTLED, SETTLING, SPARE = 1e-11, 0.5, 3
+CONVERGED_TURN, TURN_RATE, PASSES_LEFT = 1e-11, 0.5, 3
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
 REFINEMENT = 1e-2
 # A refinement that leaves more than this part of the residual does not converge any more.
@@ -307,20 +307,20 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         start_modes[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             start[k] = f[k]
-    attempts = candidates = open_directions = 0
+    tried = candidates = open_directions = 0
     closed = again = False
     while True:
-        if attempts == 1 or again:
+        if tried == 1 or again:
             for i in range(n):
                 modes[i] = start_modes[i]
                 for k in range(3 * i, 3 * i + 3):
                     f[k] = start[k]
-        elif attempts == 2 or attempts == 3:
-            modes[0] = OPEN if attempts == 2 else STICK
-        elif attempts > 3:
-            if attempts == 4:
+        elif tried == 2 or tried == 3:
+            modes[0] = OPEN if tried == 2 else STICK
+        elif tried > 3:
+            if tried == 4:
                 candidates = slip_angles(g, c, mu[0], cone.angles)
-            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], cone.angles[attempts - 4])
+            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], cone.angles[tried - 4])
             force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
             modes[0] = SLIP
             f[0] = -sine[0] * force * d1
@@ -330,7 +330,7 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         slipping = False
         for i in range(n):
             slipping = slipping or modes[i] == SLIP
-        given = refine = attempts == 1 or near == 1
+        given = refine = tried == 1 or near == 1
         if slipping or refine:
             respond(g, c, f, u, size, cone.x)
         start_slips(cone, mu, modes, f, u)
@@ -355,32 +355,32 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             stalled = refine and residual > STALLED * before
             # whether the choice was made for slips in other directions
             turned = turned + turn if refine else turn
-            stale = not given and open_directions > 0 and turned > SETTLED and k + SPARE < passes
-            stale = stale and (residual <= ROUND_OFF or turned <= SETTLING * last_turn)
+            stale = not given and open_directions > 0 and turned > CONVERGED_TURN and k + PASSES_LEFT < passes
+            stale = stale and (residual <= ROUND_OFF or turned <= TURN_RATE * last_turn)
             last_turn = turned
             if residual <= ROUND_OFF and not stale:
-                return residual, k + 1, attempts, open_directions, follows
+                return residual, k + 1, tried, open_directions, follows
             if not residual < HUGE:
                 break
             changes = correct_modes(mu, modes, f, u, direction, length, speed)
             follows = follows or changes > 0
             if changes == 0 and stalled and residual <= tolerance:
-                return residual, k + 1, attempts, open_directions, follows
-            if attempts == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
+                return residual, k + 1, tried, open_directions, follows
+            if tried == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
                 again = True
                 break
             if changes == 0 and stalled:
                 break
             refine = given or (not stale and (near > 0 or (changes == 0 and residual < REFINEMENT)))
         if residual <= tolerance:
-            return residual, passes, attempts, open_directions, follows
+            return residual, passes, tried, open_directions, follows
         if near > 0 or closed:
             # what slips turns as its forces change: once more from the ones given; then from the modes alone
             near = 1 if near == 2 and slipping else 0
             again = True
             continue
-        attempts += 1
+        tried += 1
         if n > 1 and not again:
-            return residual, passes, attempts, open_directions, follows
-        if n == 1 and attempts > 4 and attempts >= 4 + candidates:
-            return residual, passes, attempts, open_directions, follows
+            return residual, passes, tried, open_directions, follows
+        if n == 1 and tried > 4 and tried >= 4 + candidates:
+            return residual, passes, tried, open_directions, follows

@@ -4,12 +4,13 @@ What has to be found is the modes; whatever suggests them, `newton` computes the
 natural map (`cone`) accepts or refuses them. The suggestions come from, cheapest first,
 
     warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
-    sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do; redundant forces as before
+    sweeps  projected Gauss-Seidel: a few passes over the last forces, and more if these do not do; redundant forces as
+            before
     path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound; once more, with
             a trace of compliance, where all has failed
     qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
 
-The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
+The first two are one call of compiled code (`starts`), which other kernels can make, too. A single contact needs no
 search: all of its states can be tried (`exact`). The same problem and warm start give the same bits.
 """
 
@@ -24,23 +25,6 @@ from ..arguments import check_flag, check_tolerance
 from ..display import Summary
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from ..workspace import Workspace
-from .attempt import (
-    AFRESH,
-    CLASSIFY,
-    CLASSIFY_NEAR,
-    NEAR,
-    NEAREST,
-    STRICTNESS,
-    SWEEP_NEWTON_PASSES,
-    SWEEP_ROUNDS,
-    SWEEPING,
-    SWEEPS,
-    SWEEPS_PER_CONTACT,
-    USUAL,
-    WARM,
-    WARM_PASSES,
-    solve_cones,
-)
 from .cone import (
     BY_HOMOTOPY,
     DECIDED,
@@ -61,15 +45,32 @@ from .feasibility import crushing_combination
 from .homotopy import follow_homotopy
 from .problem import checked_problem
 from .proxqp import PROGRAMS, ConePrograms
+from .starts import (
+    AFRESH,
+    CLASSIFY,
+    CLASSIFY_NEAR,
+    GAUSS_SEIDEL,
+    GAUSS_SEIDEL_NEWTON_PASSES,
+    GAUSS_SEIDEL_PASSES,
+    GAUSS_SEIDEL_ROUNDS,
+    NEAR,
+    NEAREST,
+    PASSES_PER_CONTACT,
+    STRICTNESS,
+    USUAL,
+    WARM,
+    WARM_PASSES,
+    solve_cones,
+)
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
-# Newton passes from a point of the path: near a solution three do, elsewhere none.
-PATH_NEWTON_PASSES = 6
+# Newton passes from a point of the homotopy's path: near a solution three do, elsewhere none.
+HOMOTOPY_NEWTON_PASSES = 6
 # Values of t at which the path's forces are tried.
-PATH_STOPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-11, 1e-13)
+HOMOTOPY_STOPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-11, 1e-13)
 # Width of the tube round the path, and size of b against the path's beginning, in the order they are tried.
-PATH_STARTS = (
+HOMOTOPY_STARTS = (
     (0.01, 1.0), (0.002, 1.0), (0.01, 0.1), (0.01, 100.0), (0.01, 0.01), (0.01, 10.0), (0.002, 0.1), (0.0002, 1.0),
     (0.002, 0.01), (0.002, 100.0),
 )  # fmt: skip
@@ -77,8 +78,8 @@ PATH_STARTS = (
 # different beginnings, end the search.
 ESCAPES = 2
 # Steps to a stop; a stop takes ten as a rule.
-PATH_STEPS = 500
-QUICK_PATH_STEPS = 20
+HOMOTOPY_STEPS = 500
+QUICK_HOMOTOPY_STEPS = 20
 # Compliances, relative to a contact's own, with which the path is tried again where all else has failed.
 COMPLIANCES = (1e-12, 1e-13, 1e-11)
 # Newton passes from a program's forces.
@@ -87,6 +88,8 @@ PROGRAM_NEWTON_PASSES = 8
 QUICK_PROGRAMS = 10
 STAGES = ("sweeps", "path", "qp")
 CONTACT_SOLVERS = ("auto", "proxqp")
+# Delassus matrix, b and mu.
+_Problem = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Counts of ProxQP where it had nothing to do.
 NO_PROGRAMS = {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
 
@@ -156,15 +159,15 @@ class ContactSolver:
 
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
-    quick:     gives up early: the path is tried once, with few steps, and ProxQP not at all
-    nearest:   redundant forces may be the ones nearest to the last, or to what sweeps have found, where those of least
-               norm leave their cones; else other modes are looked for, and what slides has loads that do not depend on
-               the past
+    quick:     gives up early: one path is followed, with few steps, and ProxQP not at all
+    nearest:   redundant forces may be the ones nearest to the last, or to what Gauss-Seidel has found, where those of
+               least norm leave their cones; else other modes are looked for, and what slides has loads that do not
+               depend on the past
 
     contact_solver: see `choose`
 
-    Counters: polish_count (warm starts tried), path_count (paths begun), program_counts, and decided (by stage).
-    Kernels call `attempt.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
+    Counters: polish_count (warm starts tried), homotopy_count (paths begun), program_counts, and decided (by stage).
+    Kernels call `starts.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
@@ -188,7 +191,7 @@ class ContactSolver:
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
-        self.path_count = 0
+        self.homotopy_count = 0
         self._qp_before = 0
         # by the number of contacts
         self._spaces: dict[int, Workspace] = {}
@@ -202,7 +205,7 @@ class ContactSolver:
         others = [stage for stage in self.stages if stage != "qp"]
         self._order = ["qp", *others] if self.programs_first else list(self.stages)
         # what the kernel does, nothing where programs are first; the other stages are seen to here
-        usual = USUAL + (NEAREST if self.nearest else 0) + (SWEEPING if self.stages[:1] == ("sweeps",) else 0)
+        usual = USUAL + (NEAREST if self.nearest else 0) + (GAUSS_SEIDEL if self.stages[:1] == ("sweeps",) else 0)
         self.task = WARM if self.programs_first else usual
 
     @property
@@ -300,7 +303,7 @@ class ContactSolver:
         """Be as new, with the buffers that there are."""
         self.forget()
         self.residual, self.jammed, self.certificate = 0.0, False, None
-        self.path_count = self._qp_before = 0
+        self.homotopy_count = self._qp_before = 0
         for programs in self._sequences.values():
             programs.renew()
         for space in self._spaces.values():
@@ -319,7 +322,7 @@ class ContactSolver:
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
-        """The ladder of solvers above the kernel's: what `solve` does where its starts have failed.
+        """The solvers beyond the kernel's, one after the other: what `solve` does where its starts have failed.
 
         Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
         homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of
@@ -332,29 +335,29 @@ class ContactSolver:
         problem = delassus, b, mu
         self._qp_before = self.qp_count
         self.certificate, self.jammed = None, False
-        tried_already = bool(self.task & SWEEPING) and not afresh
-        self.residual = swept = float(space.reached[0]) if tried_already else np.inf
+        tried_already = bool(self.task & GAUSS_SEIDEL) and not afresh
+        self.residual = reached = float(space.reached[0]) if tried_already else np.inf
         for stage in sorted(self._order, key="sweeps".__eq__) if afresh else self._order:
             if stage == "sweeps":
                 if tried_already:
                     continue
-                solved = self._gauss_seidel(space, *problem, STRICTNESS * self.tolerance)
-                swept = self.residual
+                solved = self._gauss_seidel(problem, STRICTNESS * self.tolerance)
+                reached = self.residual
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             elif stage == "path":
-                solved = self._homotopy(space, *problem)
+                solved = self._homotopy(problem)
             else:
-                solved = self._programs(space, *problem, afresh)
+                solved = self._programs(problem, afresh)
             if solved:
                 self._decide(stage)
                 return True
             if self.jammed and not (afresh and self.certificate is None):
                 break
-        if "sweeps" in self.stages and swept <= self.tolerance and self._gauss_seidel(space, *problem, self.tolerance):
+        if "sweeps" in self.stages and reached <= self.tolerance and self._gauss_seidel(problem, self.tolerance):
             self._decide("sweeps")
             return True
-        if "path" in self.stages and not (self.quick or self.jammed) and self._compliant_homotopy(space, *problem):
+        if "path" in self.stages and not (self.quick or self.jammed) and self._compliant_homotopy(problem):
             self._decide("path")
             return True
         return False
@@ -365,43 +368,46 @@ class ContactSolver:
         counts[KNOWN], counts[DECIDED] = 1, code
         counts[TIMES + code] += 1
 
-    def _gauss_seidel(
-        self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float
+    def _start(
+        self, problem: _Problem, task: int, passes: int, tolerance: float, relaxations: int = 0, rounds: int = 1
     ) -> bool:
-        """Modes from projected Gauss-Seidel, from the last forces if there are any."""
-        if not space.counts[KNOWN]:
-            space.forces[:] = 0.0
-        sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.modes.size
-        task = CLASSIFY_NEAR if self.nearest else CLASSIFY
-        self.residual = solve_cones(
-            delassus, b, mu, space.address, task, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
-        )
+        """Start from what the workspace holds, see `solve_cones`; True if accepted."""
+        address = self._space.address
+        self.residual = solve_cones(*problem, address, task, passes, tolerance, relaxations, rounds)
         return self.residual <= tolerance
 
-    def _newton(self, space: Workspace, problem: tuple[np.ndarray, np.ndarray, np.ndarray], tolerance: float) -> bool:
-        """Newton's method from the workspace's forces; True if accepted."""
-        residual = np.inf
-        if np.isfinite(space.forces).all():
-            residual = solve_cones(*problem, space.address, CLASSIFY, PATH_NEWTON_PASSES, tolerance, 0, 1)
-        self.residual = residual if residual <= tolerance else min(self.residual, residual)
-        return residual <= tolerance
+    def _gauss_seidel(self, problem: _Problem, tolerance: float) -> bool:
+        """Modes from projected Gauss-Seidel, from the last forces if there are any."""
+        space = self._space
+        if not space.counts[KNOWN]:
+            space.forces[:] = 0.0
+        relaxations = GAUSS_SEIDEL_PASSES + PASSES_PER_CONTACT * space.modes.size
+        task = CLASSIFY_NEAR if self.nearest else CLASSIFY
+        return self._start(problem, task, GAUSS_SEIDEL_NEWTON_PASSES, tolerance, relaxations, GAUSS_SEIDEL_ROUNDS)
 
-    def _homotopy(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _newton(self, problem: _Problem, tolerance: float) -> bool:
+        """Newton's method from the workspace's forces; True if accepted."""
+        least = self.residual
+        if np.isfinite(self._space.forces).all() and self._start(problem, CLASSIFY, HOMOTOPY_NEWTON_PASSES, tolerance):
+            return True
+        self.residual = min(self.residual, least)
+        return False
+
+    def _homotopy(self, problem: _Problem) -> bool:
         """Modes from the homotopy, tried again and again on its way down, from one beginning after the other."""
-        problem = delassus, b, mu
-        before = space.forces.copy()
-        steps = QUICK_PATH_STEPS if self.quick else PATH_STEPS
-        escapes = 0
-        for tube, size in PATH_STARTS[:1] if self.quick else PATH_STARTS:
-            self.path_count += 1
-            follow_homotopy(*problem, space.address, 1.0, tube, size, 0)
+        forces, address = self._space.forces, self._space.address
+        before, escapes = forces.copy(), 0
+        steps = QUICK_HOMOTOPY_STEPS if self.quick else HOMOTOPY_STEPS
+        for tube, size in HOMOTOPY_STARTS[:1] if self.quick else HOMOTOPY_STARTS:
+            self.homotopy_count += 1
+            follow_homotopy(*problem, address, 1.0, tube, size, 0)
             good: np.ndarray | None = None
-            for stop in PATH_STOPS:
-                reached = follow_homotopy(*problem, space.address, stop, tube, size, steps)
-                tried = space.forces.copy()
+            for stop in HOMOTOPY_STOPS:
+                reached = follow_homotopy(*problem, address, stop, tube, size, steps)
+                tried = forces.copy()
                 least = self.residual
                 self.residual = np.inf
-                if self._newton(space, problem, STRICTNESS * self.tolerance):
+                if self._newton(problem, STRICTNESS * self.tolerance):
                     return True
                 if self.residual <= self.tolerance:
                     good = tried
@@ -410,40 +416,39 @@ class ContactSolver:
                     break
             if good is not None:
                 # Nothing better than the tolerance asked for: an ill-conditioned problem.
-                space.forces[:] = good
-                if self._newton(space, problem, self.tolerance):
+                forces[:] = good
+                if self._newton(problem, self.tolerance):
                     return True
-            space.forces[:] = before
+            forces[:] = before
             if reached >= HUGE:
                 escapes += 1
                 if escapes == 1:
-                    self.certificate = crushing_combination(delassus, b)
+                    self.certificate = crushing_combination(*problem[:2])
                 self.jammed = self.certificate is not None or escapes == ESCAPES
                 if self.jammed:
                     return False
         return False
 
-    def _compliant_homotopy(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _compliant_homotopy(self, problem: _Problem) -> bool:
         """Modes from the homotopy of contacts with a trace of compliance: of a singular matrix it may be lost in
         round-off."""
-        before = self.kept()
+        (delassus, b, mu), space, before = problem, self._space, self.kept()
         unit = np.diag(np.repeat(np.diag(delassus).reshape(-1, 3).mean(axis=1), 3))
-        task = NEAR if self.nearest else WARM
         for share in COMPLIANCES:
-            if self._homotopy(space, delassus + share * unit, b, mu):
-                residual = solve_cones(delassus, b, mu, space.address, task, WARM_PASSES, self.tolerance, 0, 1)
-                self.residual = residual
-                if residual <= self.tolerance:
-                    return True
+            compliant = delassus + share * unit, b, mu
+            task = NEAR if self.nearest else WARM
+            if self._homotopy(compliant) and self._start(problem, task, WARM_PASSES, self.tolerance):
+                return True
             space.modes[:], space.forces[:], space.velocities[:] = before
             if self.jammed:
                 break
         return False
 
-    def _programs(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
+    def _programs(self, problem: _Problem, afresh: bool) -> bool:
         """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
         if self.quick and not self.programs_first:
             return False
+        (delassus, b, mu), space = problem, self._space
         contacts = space.modes.size
         if contacts not in self._sequences:
             self._sequences[contacts] = ConePrograms(contacts)
@@ -456,10 +461,7 @@ class ContactSolver:
         task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
 
         def finish() -> bool:
-            self.residual = solve_cones(
-                delassus, b, mu, space.address, task, PROGRAM_NEWTON_PASSES, self.tolerance, 0, 1
-            )
-            return self.residual <= self.tolerance
+            return self._start(problem, task, PROGRAM_NEWTON_PASSES, self.tolerance)
 
         programs = QUICK_PROGRAMS if self.quick else PROGRAMS
         if self._sequences[contacts].solve(delassus, b, mu, space.forces, warm, finish, programs):

@@ -61,7 +61,7 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
 
     They are GAP_TOLERANCE times the tolerance of positions.
     """
-    lengths, resolved = system.gap_sizes
+    lengths, resolved = sizes_of_gaps(system)
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy
     system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.zeros(system.items)

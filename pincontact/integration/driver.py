@@ -20,17 +20,11 @@ from ..layout import (
     FREE,
     FRICTION_EVENT,
     LOCATION_FAILED,
-    MODE,
     NO_FORCE,
     NORMAL_EVENT,
     OK,
-    START_RATE,
-    START_SPEED,
-    START_TOLERANCE,
-    STICK,
-    STOP_ERROR,
 )
-from .accuracy import held_up, slip_is_ending
+from .accuracy import held_up
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents, lost_zeros
@@ -40,7 +34,7 @@ from .outputs import Outputs, no_dense_output
 from .reports import least_conditioned, left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
-from .slip_at_ends import LEFT_OUT, STOP_DOUBLINGS
+from .slip_steps import PATIENCE, STABLE, SlipSteps
 from .steps import (
     AT_FLOOR,
     AT_LIMIT,
@@ -59,21 +53,12 @@ from .steps import (
 )
 from .transitions import Transitions
 
-# Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
-# the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
-# in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
-# longer ones have failed: those that took less than the last factor of what was asked for.
-_PATIENCE, _LONGEST_PATIENCE = 24, 3072
-_SLOW_STEPS, _STABLE = 20.0, 4.0
-_SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 _FLOOR = 8.0 * float(np.finfo(float).eps)
 # No step after a mode change, or where bodies are near, is shorter than so many times the least; none after a mode
 # change longer than so many times the seed of a slip.
 _RESTART, _RESTART_SEEDS = 4.0, 10.0
 # Crossings in a row that true steps may deny before one is believed: an event function that jumps has no zero.
 _DOUBTS = 3
-# Slips this many times faster than what counts as ended end with one that does.
-_TOGETHER = 8.0
 # What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves: a dozen
 # evaluations in each, so that a minute at rest costs less than a tenth of a second. A pulse that lasts as long is met
 # by several of them.
@@ -102,6 +87,7 @@ class Driver:
         self.locator = EventLocator(rk, transitions.penetration.depths, transitions.open)
         self.users = UserEvents(rk, users)
         self.outputs = Outputs(rk, record, flush, options.t_eval, options.pieces)
+        self.slips = SlipSteps(rk, transitions, self.outputs, self._after)
         transitions.onset.emit = self.outputs.write_short_step
         self.options = options
         self.progress: Callable[[float], None] | None = None
@@ -218,7 +204,11 @@ class Driver:
             self.outputs.write_asked(t)
         elif why in (ATTEMPTED, SLIP_ENDS):
             step, t_new = float(scalars["step"]), float(scalars["next_time"])
-            t, switched = self._complete(t, step, t_new) if why == ATTEMPTED else (self._end_slip(t), True)
+            t, switched = (
+                self._complete(t, step, t_new)
+                if why == ATTEMPTED
+                else (self.slips.end_slip(t, self._allow_start), True)
+            )
             if switched:
                 t = self._go_on(t, usual_step)
             if self._slides_slowly() and t < t_end:
@@ -280,7 +270,7 @@ class Driver:
         scalars["next_step"], self._thrown = given or self.rk.first_step(t, self._end - t), not given
         scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
         counters["attempt_limit"] = options.max_steps
-        counters["stalled"], counters["stiff_steps"], counters["patience"] = 0, 0, _PATIENCE
+        counters["stalled"], counters["stiff_steps"], counters["patience"] = 0, 0, PATIENCE
         self.open_loads += leaves_loads_open(self.system)
 
     def _task(self) -> int:
@@ -333,11 +323,11 @@ class Driver:
             h = min(h, max(self._age, _RESTART_SEEDS * self.transitions.onset.seed))
         if scalars["turning_rate"] > 0.0:
             # longer explicit steps are not stable
-            h = min(h, _STABLE / float(scalars["turning_rate"]))
+            h = min(h, STABLE / float(scalars["turning_rate"]))
         scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
-        if scalars["turning_rate"] * self._age > _PATIENCE * _STABLE:
+        if scalars["turning_rate"] * self._age > PATIENCE * STABLE:
             # friction turns slip that has just begun much faster than it grows
             counters["stiff_steps"] = counters["patience"]
         self.open_loads += leaves_loads_open(self.system)
@@ -528,8 +518,6 @@ class Driver:
         if self.outputs.due(time):
             self.outputs.write_until(time)
 
-    # ---------------------------------------------------------------- slow slip and its end
-
     def _slides_slowly(self) -> bool:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
         counters = self.system.counters
@@ -537,65 +525,6 @@ class Driver:
         return bool(not asked and counters["stiff_steps"] >= counters["patience"])
 
     def _slow_slip(self, t: float) -> float:
-        """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""
-        scalars, counters = self.system.scalars, self.system.counters
-        span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars["turning_rate"]), 0, True
-        # slip that has just begun changes in times like its age
-        span, self._age = max(span, self._age), 0.0
-        while tried:
-            shortest = _SLOW_STEPS * _STABLE / max(float(scalars["turning_rate"]), 1e-300)
-            span = min(span, self._max_step, self._end - t)
-            after = self.transitions.onset.follow_slow_slip(t, span, shortest) if span >= shortest else None
-            tried = after is not None
-            if after is None:
-                # the next steps are explicit again; the longer that fails the longer they are left alone
-                counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
-                # nor do these get nearer to the end of a slip that is as slow as they are accurate
-                counters["stalled"] = min(counters["stalled"] + 1, STOP_DOUBLINGS)
-            else:
-                counters["patience"] = _PATIENCE
-                counters["step_count"] += 1
-                # a length that was too much is not asked for again soon
-                rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
-                span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
-                t = after
-                self._after(t)
-                limited = t >= self._end or counters["step_count"] >= counters["attempt_limit"]
-                tried = not (limited or slip_is_ending(self.system) or self.transitions.onset.pending)
-        counters["stiff_steps"] = 0
-        return t
-
-    def _end_slip(self, t: float) -> float:
-        """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
-        rk, system, scalars = self.rk, self.system, self.system.scalars
-        columns = system.contact_real[:, [START_SPEED, START_RATE, START_TOLERANCE, STOP_ERROR]].tolist()
-        slips = {i: column for i, column in enumerate(columns) if column[0] < math.inf}
-        stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
-        straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
-        c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
-        way = slips[c][0] / -slips[c][1]
-        # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
-        left = min(way, scalars["next_step"], scalars["max_step"], scalars["end"] - t)
-        left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
-        if straight and left < way:
-            # something else comes first
-            system.contact_real[:, STOP_ERROR] = math.inf
-            return t
-        # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
-        for i, (speed, rate, allowed, _) in slips.items():
-            # slip that grows is no nearer to its end where steps get nowhere
-            least, reach = (min(speed, abs(speed + rate * left)), further) if rate < 0.0 else (speed, 1.0)
-            if i != c and least <= reach * _TOGETHER * allowed:
-                contacts.append(i)
-        rk.load(system.state)
-        rk.evaluate(t)
-        ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
-        self.outputs.keep_end_of_slip(t, left, ended)
-        # v_c is round-off there and has no direction: not to be evaluated as slip
-        system.contact_int[contacts, MODE] = STICK
-        rk.load(system.state + left * system.slopes[0])
-        self._allow_start(t + left, float(scalars["step"]))
-        after = self.transitions.come_to_rest(t + left, ended)
-        self._after(after)
-        return after
+        """Go on with prescribed directions of slip; the new time."""
+        age, self._age = self._age, 0.0
+        return self.slips.follow_slowly(t, self._end, self._max_step, age)

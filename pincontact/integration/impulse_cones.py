@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
 from ..friction.choices import Units, chosen_forces, holding_forces, holding_loads
 from ..friction.cone import OPEN, SLIP, STICK
-from ..friction.loads import SETTLED, Loads
+from ..friction.loads import RADII_TOLERANCE, Loads
 from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
 from ..friction.solve import ContactSolver
+from ..friction.starts import NEAR, WARM_PASSES, solve_cones
 from ..layout import FRICTIONLESS
 from ..layout import STICK as STICKING
 from ..workspace import Workspace
@@ -347,12 +347,12 @@ class ImpulseSolver:
             forces, modes, residual, off = coupled.solve_with_radii(loads)
             # ideal rolling has no other friction to go with: what carries a load does not slip
             slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
-            loaded = forces[2::3] > SETTLED * np.abs(forces).max(initial=0.0)
-            slipping = np.isinf(mu) & loaded & (slips > SETTLED * np.abs(base).max(initial=0.0))
+            loaded = forces[2::3] > RADII_TOLERANCE * np.abs(forces).max(initial=0.0)
+            slipping = np.isinf(mu) & loaded & (slips > RADII_TOLERANCE * np.abs(base).max(initial=0.0))
             if not slipping.any():
                 break
             loads = np.where(np.repeat(slipping, 3), forces, loads)
-        if not residual <= SETTLED or slipping.any():
+        if not residual <= RADII_TOLERANCE or slipping.any():
             return False
         self.settled += 1
         self.settled_off = max(self.settled_off, off)

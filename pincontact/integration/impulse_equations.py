@@ -73,7 +73,7 @@ def gather_equations(system, step):
         whiten(factor, parents, nv, rows[c, row], work)
         own, unit[e] = inner(work, work, nv), 1.0
         if own > 0.0:
-            unit[e] = unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work)
+            unit[e] = unit_of_force(system, c, row, own)
 
 
 @kernel
@@ -88,7 +88,7 @@ def _are_redundant(step):
 @kernel
 def equation_impulses(system, step):
     """Impulses of the equations that go with the cones' forces, R^T P = share - overlap^T F; of redundant ones the
-    least, with contacts' forces in the units of `dynamics.equations.unit_of_force`."""
+    least, with contacts' forces in the units of `dynamics.least_forces.unit_of_force`."""
     n, m = step.counts.units, step.counts.equations
     forces, overlap, factor = step.cone_forces, step.overlap, step.equation_factor
     share, impulse = step.equation_share, step.equation_impulse

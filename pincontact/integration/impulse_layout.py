@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..layout import CONTACT_INTS, SLIPPING
-from ..workspace import INTEGERS, REALS, Layout, Workspace, record
+from ..workspace import INTEGERS, REALS, Layout, Scratch, Workspace, record
 from .momentum_transport import INERTIA_SIZE
 
 # What steps count and choose, in four groups. Of the problem: how many joint limits and dry frictions there are, units
@@ -197,11 +197,15 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "set_aside": (REALS, "nv"),
 }
 # Arrays of a rollout, made for it: torques and targets of the steps that end with a row, and the state then.
-_OF_ROWS = {"rows_tau": (REALS, 2), "rows_target": (REALS, 2), "rows_q": (REALS, 2), "rows_v": (REALS, 2)}
+_OF_ROWS = {name: (REALS, "rows_wanted", "of_row") for name in ("rows_tau", "rows_target", "rows_q", "rows_v")}
 # What is read before a step writes it.
 _ZERO = {"counts", "numbers", "calls", "behind", "known", "joints", "cone_tables", "actuators", "target", "actuation"}
 
-STEP = Layout("step", **{name: (kind, len(extents)) for name, (kind, *extents) in _ARRAYS.items()}, **_OF_ROWS)
+STEP = Layout(
+    "step",
+    **{name: (kind if name in _ZERO else Scratch(kind), *extents) for name, (kind, *extents) in _ARRAYS.items()},
+    **_OF_ROWS,
+)
 step_at = STEP.at
 
 
@@ -224,8 +228,6 @@ def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks
         "rows_squared": 9 * units * units,
         "equations": max(3 * nc, 1),
     }
-    for name, (_, *extents) in _ARRAYS.items():
-        make = step.zeros if name in _ZERO else step.scratch
-        make(name, *(sizes.get(extent, extent) for extent in extents))
+    step.allocate(**sizes)
     step.counts["joints"] = nj
     return step

@@ -12,7 +12,7 @@ from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
-from ..friction.attempt import AFRESH, USUAL
+from ..friction.starts import AFRESH, USUAL
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,

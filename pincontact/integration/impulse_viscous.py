@@ -75,7 +75,7 @@ def begin_sharing(system, step):
 
 
 @kernel
-def _velocity_apart(system, step, u):
+def _velocity_apart(step, u):
     """With which the contact of unit u opens, or, negative, that its normal impulse takes from the bodies alone."""
     r = 3 * u + 2
     if step.cone_forces[r] > 0.0:
@@ -95,7 +95,7 @@ def shares_viscous(system, step):
             continue
         if system.contact_real[c, VISCOUS] == 0.0:
             continue
-        part, velocity, search = step.viscous_part[c], _velocity_apart(system, step, u), step.viscous_search[c]
+        part, velocity, search = step.viscous_part[c], _velocity_apart(step, u), step.viscous_search[c]
         opens = velocity > 0.0 and system.contact_int[c, MODE] == FREE
         if part == 1.0:
             if opens:

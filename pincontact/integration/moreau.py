@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..callback import kernel_address
-from ..friction.attempt import solve_cones
+from ..friction.starts import solve_cones
 from ..geometry.chart_changes import move_charts
 from ..jit import compile_kernels
 from ..layout import (

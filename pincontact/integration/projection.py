@@ -10,7 +10,7 @@ from ..dynamics.resistance import count_items
 from ..jit import BOOLEAN, INTEGER, REAL, kernel
 from ..layout import EVENT, LOCATION_FAILED, OK, SYSTEM
 from .results import CLOSED_APART, CONTRADICTION
-from .stages import correct_state, evaluate
+from .stages import correct_state, evaluate, keep_places
 
 # Corrections at most; they fall quadratically, from a start that is not on its constraints, too.
 _PROJECTIONS = 12
@@ -79,11 +79,11 @@ def project(system, t, evaluated, purpose, error):
             status = evaluate(system, t, part)
             if status > EVENT:
                 return status
-        count = contact_corrections(system, 1, 1)
+        count = contact_corrections(system)
         if count == 0 or (scalars.gap_residual <= _ROUND_OFF and scalars.velocity_residual <= _ROUND_OFF):
-            correct_state(system, 0, 0)
+            keep_places(system)
             return OK
-        change = correct_state(system, 1, 1)
+        change = correct_state(system)
         if _contradicts(system):
             return CONTRADICTION
         explained = max(_EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0) if error < math.inf else error
@@ -113,8 +113,8 @@ def project_places(system, t):
         status = evaluate(system, t, PLACES_OF_ALL)
         if status != OK:
             return status
-        contact_corrections(system, 1, 1)
-        correct_state(system, 1, 1)
+        contact_corrections(system)
+        correct_state(system)
         if _contradicts(system):
             return CONTRADICTION
         size = system.scalars.correction_size

@@ -105,7 +105,7 @@ def event_function_error(system):
             allowed = max(RESOLVED * max(high, -low), FAR * low)
             is_force = kind in FORCE_EVENTS
             allowed = max(allowed, FORCE_ROUND_OFF * largest_force if is_force else floor)
-            worst = max(worst, _left(system, n, c, kind) / allowed)
+            worst = max(worst, _left(system, c, kind) / allowed)
     if worst > 0.0:
         # errors of polynomials fall with another power of the step than those of the state
         scaled = worst ** ((scalars.error_order + 1.0) / (_DEGREE + 1.0))
@@ -113,7 +113,7 @@ def event_function_error(system):
 
 
 @kernel
-def _left(system, n, c, kind):
+def _left(system, c, kind):
     """What the best polynomial leaves of an event function in the attempted step: the norm over its stages."""
     sizes = system.sizes
     kept = system.scan_event_functions

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.system import System
-from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, LOOK_ROW, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM, SCAN_ROWS
-from .accuracy import sizes_of_gaps
+from ..layout import EVENT, LOOK_ROW
 from .steps import LOOK, PROJECT, PROJECT_EVALUATED, run_task
 
 # So many output times there is room for in every system.
@@ -25,21 +24,8 @@ class RunSystem(System):
         ny, items = self.ny, max(self.items, 1)
         # blocks of rows to be recorded, by their width, which all runs of this system fill
         self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
-        for name in ("stage_state", "new_state", "next_state", "next_slope"):
-            self.scratch(name, ny)
-        self.scratch("slopes", MAX_STAGES, ny)
-        self.scratch("dense", DENSE_ROWS, ny)
-        self.zeros("scale", 2)
-        self.zeros("absolute", ny)
-        self.scratch("across", 2 * items + 1, 2 * POLYNOMIAL_SIZE - 1)
-        self.scratch("scan_shares", SCAN_ROWS)
-        self.scratch("scan_status", SCAN_ROWS)
-        self.scratch("scan_event_functions", SCAN_ROWS, items, EVENTS_PER_CONTACT)
-        self.zeros("slack", items, EVENTS_PER_CONTACT)
-        self.scratch("sought", items, EVENTS_PER_CONTACT)
-        self.scratch("brackets", 3, SCAN_ROOM)
+        self.allocate(run_ny=ny, run_items=items, across_rows=2 * items + 1)
         # see `accuracy.set_accuracy`
-        self.gap_sizes = sizes_of_gaps(self)
         self.gap_accuracy = self.finest_hops = self.lowest_hops = self.hop_speeds = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()

@@ -72,7 +72,7 @@ def note_end(system):
         if contact[MODE] != SLIPPING or contact[TANGENTS] != 2 or contact[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
-        turning = max(turning, _turning_rate(system, c, n))
+        turning = max(turning, _turning_rate(system, c))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
             line, value = system.rows[c, row], 0.0
@@ -164,7 +164,7 @@ def _near_end(number, h, before, rate_before, turned, bend):
 
 
 @kernel
-def _turning_rate(system, c, n):
+def _turning_rate(system, c):
     """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
     nv, force, work = system.sizes.nv, system.force[c], system.work

@@ -40,9 +40,9 @@ _call_evaluation = kernel_caller(INTEGER, SYSTEM.type, REAL, INTEGER)
 
 
 @kernel
-def evaluate(system, time, only_kinematics):
+def evaluate(system, time, part):
     """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
-    return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
+    return _call_evaluation(system.callback.evaluation, system, time, part)
 
 
 @separate_kernel(NOTHING, SYSTEM.type, array_type(REALS, 1))
@@ -202,35 +202,34 @@ def load_state(address):
     hand_over(system, system.stage_state)
 
 
-@separate_kernel(REAL, SYSTEM.type, INTEGER, INTEGER)
-def correct_state(system, with_position, with_velocity):
+@separate_kernel(REAL, SYSTEM.type)
+def correct_state(system):
     """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the contact
     coordinates found, moved along with q. Returns the largest change of q and v in tolerances, infinite without any.
     """
-    sizes = system.sizes
-    nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
-    state = system.stage_state
+    nq, state, q, v = system.sizes.nq, system.stage_state, system.q, system.v
     absolute, relative = system.absolute, system.scale[0]
-    change = 0.0
-    location = flat(system.location)
-    for k in range(4 * nc):
-        state[nq + nv + k] = location[k]
-    q, v = system.q, system.v
-    if with_velocity != 0:
-        correction = system.correction_v
-        for k in range(nv):
-            change = max(change, _in_tolerances(correction[k], absolute[nq + k] + relative * abs(v[k])))
-            v[k] += correction[k]
-    if with_position != 0:
-        moved = system.slopes[MAX_STAGES - 1]
-        move(system.joint_table, q, system.correction_q, moved, q)
-        for i in range(nq):
-            change = max(change, _in_tolerances(moved[i], absolute[i] + relative * abs(state[i])))
+    change, correction = 0.0, system.correction_v
+    for k in range(system.sizes.nv):
+        change = max(change, _in_tolerances(correction[k], absolute[nq + k] + relative * abs(v[k])))
+        v[k] += correction[k]
+    moved = system.slopes[MAX_STAGES - 1]
+    move(system.joint_table, q, system.correction_q, moved, q)
     for i in range(nq):
-        state[i] = q[i]
-    if with_position != 0 or with_velocity != 0:
-        keep_velocity(system, state)
+        change = max(change, _in_tolerances(moved[i], absolute[i] + relative * abs(state[i])))
+    keep_places(system)
+    keep_velocity(system, state)
     return change
+
+
+@kernel
+def keep_places(system):
+    """The configuration and the contact coordinates of the last evaluation become those of STAGE_STATE."""
+    sizes, state, q, location = system.sizes, system.stage_state, system.q, flat(system.location)
+    for i in range(sizes.nq):
+        state[i] = q[i]
+    for k in range(4 * sizes.nc):
+        state[sizes.nq + sizes.nv + k] = location[k]
 
 
 @kernel

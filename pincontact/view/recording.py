@@ -12,8 +12,8 @@ from ..extras import required
 from .drawing import Drawing
 from .meshes import Mesh, lathe
 from .palette import MODE_COLORS, contact_color
+from .picture import Picture, fitting_force_scale, frame
 from .plots import limit
-from .replay import Picture, fitting_force_scale, frame
 from .robot import geometry_color
 from .stage import Stage
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from . import arrows, meshes
 from .drawing import FRONT_SIDE, Drawing
 from .outlines import contour_meshes, contour_opacity, shades
 from .palette import MODE_COLORS
+from .picture import Picture
 from .robot import draw_robot, shown_by
 from .sampling import (
     ContactFrames,
@@ -23,11 +24,6 @@ from .sampling import (
     quaternions,
     turning_rate,
 )
-
-if TYPE_CHECKING:
-    from .replay import Picture
-
-ROOT = ("meshcat", "pincontact")
 
 _TRACE_COLOR = (0.10, 0.10, 0.14)
 _POINT_COLOR = (0.08, 0.08, 0.10)

@@ -119,7 +119,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0", "0.0 -> 0.5",
     ): "where a slip begins from: Newton's modes are corrected where it cannot be",
     (
-        "pincontact/friction/attempt.py", "attempt",
+        "pincontact/friction/starts.py", "try_start",
         "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0", "> -> <",
     ): "with and without factors Newton's steps are the same to round-off",
     (
@@ -141,7 +141,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "slope = np.sort(slopes[k, box, j, 0] * followed.checks[k][3])", "* -> /",
     ): "a sign is 1 or -1",
     (
-        "pincontact/friction/attempt.py", "attempt",
+        "pincontact/friction/starts.py", "try_start",
         "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1", "index 1 -> 2",
     ): "where the corrections of modes begin: the same solution is found",
     (
@@ -166,18 +166,18 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "where the sweeps begin: they end at the same solution",
     (
-        "pincontact/friction/attempt.py", "attempt",
+        "pincontact/friction/starts.py", "try_start",
         "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0",
         "1 -> 2",
     ): "with and without factors Newton's steps are the same to round-off",
     (
-        "pincontact/friction/attempt.py", "attempt",
+        "pincontact/friction/starts.py", "try_start",
         "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1",
         "+ -> -",
     ): "where the corrections of modes begin: the same solution is found",
     (
-        "pincontact/friction/attempt.py", "usual_attempts",
-        "residual, searched = attempt(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)",
+        "pincontact/friction/starts.py", "try_usual_starts",
+        "residual, searched = try_start(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)",
         "0 -> 1",
     ): "sweeps are of no account to these tasks",
     (

@@ -7,8 +7,7 @@ import pytest
 from test_cone_newton import feet_at_rest, is_held
 from test_cone_parts import problem, residual_of
 
-from pincontact.friction import attempt
-from pincontact.friction.attempt import solve_cones
+from pincontact.friction import starts
 from pincontact.friction.cone import (
     BY_EXACT,
     BY_GAUSS_SEIDEL,
@@ -26,6 +25,7 @@ from pincontact.friction.cone import (
 )  # fmt: skip
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.solve import ContactSolution, ContactSolver, solve_contacts
+from pincontact.friction.starts import solve_cones
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 
@@ -49,14 +49,14 @@ def regular(rng, n, unit=1.0):
 
 @SEEDS
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
-@pytest.mark.parametrize("task", [attempt.WARM, attempt.NEAR, attempt.CLASSIFY, attempt.CLASSIFY_NEAR])
+@pytest.mark.parametrize("task", [starts.WARM, starts.NEAR, starts.CLASSIFY, starts.CLASSIFY_NEAR])
 def test_each_start_leads_to_a_solution(task, unit, seed):
     rng = np.random.default_rng(seed)
     n = 3
     delassus, b, mu = regular(rng, n, unit)
     memory = cone_workspace(n)
     memory.velocities[:] = 0.0
-    sweeps = 20 if task in (attempt.CLASSIFY, attempt.CLASSIFY_NEAR) else 0
+    sweeps = 20 if task in (starts.CLASSIFY, starts.CLASSIFY_NEAR) else 0
     residual = solve_cones(delassus, b, mu, memory.address, task, 10, 1e-10, sweeps, 2)
     assert residual <= 1e-10
     is_solution(delassus, b, mu, memory)
@@ -76,8 +76,8 @@ def test_what_fails_leaves_everything_alone(seed):
     memory.forces[:], memory.velocities[:] = rng.normal(size=(2, 6))
     kept = {name: getattr(memory, name).copy() for name in ("modes", "forces", "velocities")}
     # no passes, no result
-    assert solve_cones(delassus, b, mu, memory.address, attempt.WARM, 0, 1e-10, 0, 1) == HUGE
-    assert solve_cones(delassus, b, mu, memory.address, attempt.CLASSIFY, 10, 1e-10, 1, 0) == HUGE
+    assert solve_cones(delassus, b, mu, memory.address, starts.WARM, 0, 1e-10, 0, 1) == HUGE
+    assert solve_cones(delassus, b, mu, memory.address, starts.CLASSIFY, 10, 1e-10, 1, 0) == HUGE
     for name, array in kept.items():
         assert (getattr(memory, name) == array).all()
 
@@ -89,8 +89,8 @@ def test_sweeps_go_on_where_they_did_not_do():
     for _ in range(60):
         delassus, b, mu = problem(rng, 4)
         one, two = cone_workspace(4), cone_workspace(4)
-        short = solve_cones(delassus, b, mu, one.address, attempt.CLASSIFY, 8, 1e-10, 2, 1)
-        longer = solve_cones(delassus, b, mu, two.address, attempt.CLASSIFY, 8, 1e-10, 2, 2)
+        short = solve_cones(delassus, b, mu, one.address, starts.CLASSIFY, 8, 1e-10, 2, 1)
+        longer = solve_cones(delassus, b, mu, two.address, starts.CLASSIFY, 8, 1e-10, 2, 2)
         assert longer <= short
         if short <= 1e-10:
             assert longer == short
@@ -99,7 +99,7 @@ def test_sweeps_go_on_where_they_did_not_do():
             rounds += 1
             is_solution(delassus, b, mu, two)
         alone = cone_workspace(4)
-        eighteen = solve_cones(delassus, b, mu, alone.address, attempt.CLASSIFY, 8, 1e-10, 2 + 16, 1)
+        eighteen = solve_cones(delassus, b, mu, alone.address, starts.CLASSIFY, 8, 1e-10, 2 + 16, 1)
         assert (longer <= 1e-10) == (eighteen <= 1e-10)
         if eighteen <= 1e-10:
             assert two.forces == pytest.approx(alone.forces, abs=1e-9)
@@ -108,7 +108,7 @@ def test_sweeps_go_on_where_they_did_not_do():
 
 def test_what_decided_is_counted():
     rng = np.random.default_rng(0)
-    usual = attempt.USUAL + attempt.NEAREST + attempt.SWEEPING
+    usual = starts.USUAL + starts.NEAREST + starts.GAUSS_SEIDEL
     for n in (1, 3):
         delassus, b, mu = regular(rng, n)
         memory = cone_workspace(n)
@@ -132,13 +132,13 @@ def test_what_decided_is_counted():
         # without sweeps there is nothing else for several
         blocked = np.zeros_like(delassus)
         kept = memory.forces.copy()
-        for task in (usual, usual - attempt.SWEEPING, usual - attempt.NEAREST):
+        for task in (usual, usual - starts.GAUSS_SEIDEL, usual - starts.NEAREST):
             assert solve_cones(blocked, np.full(3 * n, -1.0), mu, memory.address, task, 0, 1e-10, 0, 0) == HUGE
             assert memory.reached[0] > 1e-3
         assert (memory.forces == kept).all()
         counts[KNOWN] = 0
         known = counts[TIMES:].sum()
-        found = solve_cones(delassus, b, mu, memory.address, attempt.USUAL, 0, 1e-10, 0, 0)
+        found = solve_cones(delassus, b, mu, memory.address, starts.USUAL, 0, 1e-10, 0, 0)
         assert (found <= 1e-10) == (n == 1)
         assert counts[TIMES:].sum() == known + (n == 1)
 
@@ -151,7 +151,7 @@ def test_contacts_at_rest_stay_at_rest_whatever_the_units(seed, unit):
     g, c, mu, inside = feet_at_rest(rng, 4)
     memory = cone_workspace(4)
     memory.modes[:], memory.forces[:], memory.velocities[:] = OPEN, inside / unit, 0.0
-    assert solve_cones(unit * g, c, mu, memory.address, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
+    assert solve_cones(unit * g, c, mu, memory.address, starts.NEAR, 8, 1e-10, 0, 1) <= 1e-10
     assert (memory.modes == STICK).all()
     assert is_held(memory.forces, mu * (1.0 + 1e-12))
     # a single contact that slides at 1e-6 of what acts on it
@@ -161,7 +161,7 @@ def test_contacts_at_rest_stay_at_rest_whatever_the_units(seed, unit):
     memory = cone_workspace(2)
     memory.modes[:], memory.forces[:] = SLIP, -b / unit
     memory.velocities[:] = np.tile([1e-6, 0.0, 0.0], 2)
-    assert solve_cones(single, b, np.full(2, 0.5), memory.address, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
+    assert solve_cones(single, b, np.full(2, 0.5), memory.address, starts.NEAR, 8, 1e-10, 0, 1) <= 1e-10
     assert memory.velocities == pytest.approx(np.tile([1e-6, 0.0, 0.0], 2), abs=1e-14)
 
 
@@ -226,7 +226,7 @@ def test_stages_count_what_they_did(seed):
         assert solver.solve(delassus, b, mu)
         assert solver.decided_by == stages[0]
         assert solver.decided == {"warm": 0, "exact": 0, **dict.fromkeys(stages, 0), stages[0]: 1}
-        assert solver.path_count == (stages[0] == "path")
+        assert solver.homotopy_count == (stages[0] == "path")
         assert (solver.qp_count > 0) == (stages[0] == "qp")
         assert solver.solution(mu).qp_count == solver.qp_count
         assert solver.solve(delassus, b, mu)
@@ -236,6 +236,6 @@ def test_stages_count_what_they_did(seed):
         solver.renew()
         assert solver.decided_by == ""
         assert not any(solver.decided.values())
-        assert (solver.path_count, solver.qp_count, solver.polish_count, solver.residual) == (0, 0, 0, 0.0)
+        assert (solver.homotopy_count, solver.qp_count, solver.polish_count, solver.residual) == (0, 0, 0, 0.0)
         assert solver.warm_starts() == []
         assert not solver.jammed

@@ -1,4 +1,4 @@
-"""One contact problem from what is known of it: the last modes and forces, Gauss-Seidel sweeps (see `solve`)."""
+"""One contact problem from what is known of it: the last modes and forces, projected Gauss-Seidel (see `solve`)."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from .newton import active_set_solve
 from .redundant import FACTOR
 
 WARM, CLASSIFY, NEAR, CLASSIFY_NEAR, USUAL = 0, 1, 2, 3, 4
-# Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do; it is
-# begun at rest without forces, not from the last solution.
-NEAREST, SWEEPING, AFRESH = 1, 2, 8
+# Added to USUAL: redundant forces may be the nearest to the last; Gauss-Seidel passes follow where the last modes do
+# not do; it is begun at rest without forces, not from the last solution.
+NEAREST, GAUSS_SEIDEL, AFRESH = 1, 2, 8
 
 # Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
-# fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
+# fewer than five, mode corrections included, and what needs more is found sooner by Gauss-Seidel.
 NEWTON_PASSES, WARM_PASSES = 20, 8
 # Gauss-Seidel passes before the first Newton, more for more contacts, and how many times as many before the next; how
 # often Newton is tried.
-SWEEPS, SWEEPS_PER_CONTACT, SWEEP_GROWTH = 10, 2, 8
-SWEEP_ROUNDS, SWEEP_NEWTON_PASSES = 2, 8
+GAUSS_SEIDEL_PASSES, PASSES_PER_CONTACT, PASSES_GROWTH = 10, 2, 8
+GAUSS_SEIDEL_ROUNDS, GAUSS_SEIDEL_NEWTON_PASSES = 2, 8
 # What the searches aim at, relative to the tolerance; the last ones are content with that.
 STRICTNESS = 0.01
 # Velocities of the last solution that count as none, relative to b.
@@ -54,7 +54,7 @@ _MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
 
 
 @separate_kernel(REAL, CONE.type, _MATRIX, _VECTOR, _VECTOR, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
-def attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds):
+def try_start(cone, delassus, b, mu, task, passes, tolerance, relaxations, rounds):
     """A start of one kind, see `solve_cones`; returns the residual."""
     n = mu.shape[0]
     rows = 3 * n
@@ -73,20 +73,20 @@ def attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds):
         touching[i] = 0
         if task == NEAR and abs(velocities[3 * i + 2]) <= still:
             touching[i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
-    swept = task in (CLASSIFY, CLASSIFY_NEAR)
+    by_forces = task in (CLASSIFY, CLASSIFY_NEAR)
     near = 2 if n > 1 and task in (NEAR, CLASSIFY_NEAR) else 0
     rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0
     residual = HUGE
     tried = directions = 0
     follows = False
     for turn in range(rounds):
-        if swept:
+        if by_forces:
             if turn > 0:
                 for k in range(rows):
                     f[k] = start[k]
-                sweeps *= SWEEP_GROWTH
+                relaxations *= PASSES_GROWTH
             respond(g, c, f, u, cone.size, cone.rhs)
-            for _ in range(sweeps):
+            for _ in range(relaxations):
                 gauss_seidel_pass(g, mu, f, u)
             classify(mu, f, u, trial)
         result, used, tried, directions, follows = active_set_solve(
@@ -108,8 +108,8 @@ def attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds):
 
 
 @kernel
-def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
-    """From the last solution, if there is one, or afresh, then by sweeps; see USUAL of `solve_cones`."""
+def try_usual_starts(delassus, b, mu, cone, nearest, gauss_seidel, afresh, tolerance):
+    """From the last solution, if there is one, or afresh, then by Gauss-Seidel; see USUAL of `solve_cones`."""
     n = mu.shape[0]
     modes = cone.modes
     forces = cone.forces
@@ -124,7 +124,7 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
                 forces[k] = velocities[k] = 0.0
         counts[KNOWN] = 1
     known = counts[KNOWN] != 0
-    if not known and (n == 1 or sweeping):
+    if not known and (n == 1 or gauss_seidel):
         for k in range(3 * n):
             forces[k] = 0.0
     if known or n == 1:
@@ -132,14 +132,15 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
             modes[0] = STICK
         counts[TRIED] += 1
         passes = NEWTON_PASSES if n == 1 else WARM_PASSES
-        residual = attempt(cone, delassus, b, mu, NEAR if nearest else WARM, passes, tolerance, 0, 1)
+        residual = try_start(cone, delassus, b, mu, NEAR if nearest else WARM, passes, tolerance, 0, 1)
         if residual <= tolerance:
             counts[DECIDED] = BY_WARM if known and counts[SEARCHED] == 0 else BY_EXACT
-    if not residual <= tolerance and sweeping:
+    if not residual <= tolerance and gauss_seidel:
         task = CLASSIFY_NEAR if nearest else CLASSIFY
-        sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
+        relaxations = GAUSS_SEIDEL_PASSES + PASSES_PER_CONTACT * n
         strict = STRICTNESS * tolerance
-        residual = attempt(cone, delassus, b, mu, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
+        passes, rounds = GAUSS_SEIDEL_NEWTON_PASSES, GAUSS_SEIDEL_ROUNDS
+        residual = try_start(cone, delassus, b, mu, task, passes, strict, relaxations, rounds)
         counts[DECIDED] = BY_GAUSS_SEIDEL
         tolerance = strict
     reached[0] = residual
@@ -151,25 +152,26 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
 
 
 @array_entry(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
-def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, rounds):
+def solve_cones(delassus, b, mu, address, task, passes, tolerance, relaxations, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
     delassus (3n, 3n) symmetric, b (3n,), mu (n,): the problem; address: that of a `cone_workspace` for n contacts.
     task says how it is begun:
       WARM       from the modes and forces in the cone
       NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
-      CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
-                 natural map's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
-      CLASSIFY_NEAR  the same, and redundant forces may be the nearest to the ones swept
+      CLASSIFY   from the forces alone, after `relaxations` passes of projected Gauss-Seidel over them; the modes are
+                 read off the natural map's projections; on failure PASSES_GROWTH times as many passes in each of
+                 `rounds`
+      CLASSIFY_NEAR  the same, and redundant forces may be the nearest to those of Gauss-Seidel
       USUAL      from the last solution, if KNOWN of the cone's "counts" is not zero, or if there is one contact, which
-                 needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps; with AFRESH
+                 needs none; with NEAREST added as NEAR; with GAUSS_SEIDEL added, where that fails, by that; with AFRESH
                  added from all at rest, so that the solution is the same whatever the last one was. passes,
-                 sweeps and rounds are of no account. What decided, and how often, is counted in "counts"; where
+                 relaxations and rounds are of no account. What decided, and how often, is counted in "counts"; where
                  nothing did, HUGE is returned, and the residual is in "reached".
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
     cone = cone_at(address)
     if task >= USUAL:
-        nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
-        return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)
-    return attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds)
+        nearest, gauss_seidel, afresh = (task & NEAREST) != 0, (task & GAUSS_SEIDEL) != 0, (task & AFRESH) != 0
+        return try_usual_starts(delassus, b, mu, cone, nearest, gauss_seidel, afresh, tolerance)
+    return try_start(cone, delassus, b, mu, task, passes, tolerance, relaxations, rounds)

@@ -1,0 +1,105 @@
+"""Steps of a run besides those of its method: with prescribed directions where slip is slow, and to the end of slip."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from ..layout import MODE, START_RATE, START_SPEED, START_TOLERANCE, STICK, STOP_ERROR
+from .accuracy import slip_is_ending
+from .outputs import Outputs
+from .runge_kutta import RungeKutta
+from .slip_at_ends import LEFT_OUT, STOP_DOUBLINGS
+from .transitions import Transitions
+
+# Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
+# the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
+# in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
+# longer ones have failed: those that took less than the last factor of what was asked for.
+PATIENCE, _LONGEST_PATIENCE = 24, 3072
+_SLOW_STEPS, STABLE = 20.0, 4.0
+_SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
+# Slips this many times faster than what counts as ended end with one that does.
+_TOGETHER = 8.0
+
+
+class SlipSteps:
+    """Makes such steps from the accepted state of a run.
+
+    accepted(t): called for every state that is accepted.
+    """
+
+    def __init__(
+        self, rk: RungeKutta, transitions: Transitions, outputs: Outputs, accepted: Callable[[float], None]
+    ) -> None:
+        self.rk, self.system, self.transitions = rk, rk.system, transitions
+        self.outputs, self._accepted = outputs, accepted
+
+    def follow_slowly(self, t: float, end: float, longest: float, age: float) -> float:
+        """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time.
+
+        end: of the run, or the next breakpoint, in s; longest: of a step, in s; age: how long in s slip went on that
+        has just begun.
+        """
+        scalars, counters, onset = self.system.scalars, self.system.counters, self.transitions.onset
+        span, rests, tried = 2.0 * _SLOW_STEPS * STABLE / float(scalars["turning_rate"]), 0, True
+        # slip that has just begun changes in times like its age
+        span = max(span, age)
+        while tried:
+            shortest = _SLOW_STEPS * STABLE / max(float(scalars["turning_rate"]), 1e-300)
+            span = min(span, longest, end - t)
+            after = onset.follow_slow_slip(t, span, shortest) if span >= shortest else None
+            tried = after is not None
+            if after is None:
+                # the next steps are explicit again; the longer that fails the longer they are left alone
+                counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
+                # nor do these get nearer to the end of a slip that is as slow as they are accurate
+                counters["stalled"] = min(counters["stalled"] + 1, STOP_DOUBLINGS)
+            else:
+                counters["patience"] = PATIENCE
+                counters["step_count"] += 1
+                # a length that was too much is not asked for again soon
+                rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
+                span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
+                t = after
+                self._accepted(t)
+                limited = t >= end or counters["step_count"] >= counters["attempt_limit"]
+                tried = not (limited or slip_is_ending(self.system) or onset.pending)
+        counters["stiff_steps"] = 0
+        return t
+
+    def end_slip(self, t: float, allow_start: Callable[[float, float], None]) -> float:
+        """One linear step to the end of slip (its error is the square of a short time), then stick or not; the new
+        time. allow_start: see `Driver`."""
+        rk, system, scalars = self.rk, self.system, self.system.scalars
+        columns = system.contact_real[:, [START_SPEED, START_RATE, START_TOLERANCE, STOP_ERROR]].tolist()
+        slips = {i: column for i, column in enumerate(columns) if column[0] < math.inf}
+        stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
+        straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
+        c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
+        way = slips[c][0] / -slips[c][1]
+        # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
+        left = min(way, scalars["next_step"], scalars["max_step"], scalars["end"] - t)
+        left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
+        if straight and left < way:
+            # something else comes first
+            system.contact_real[:, STOP_ERROR] = math.inf
+            return t
+        # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
+        further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
+        for i, (speed, rate, allowed, _) in slips.items():
+            # slip that grows is no nearer to its end where steps get nowhere
+            least, reach = (min(speed, abs(speed + rate * left)), further) if rate < 0.0 else (speed, 1.0)
+            if i != c and least <= reach * _TOGETHER * allowed:
+                contacts.append(i)
+        rk.load(system.state)
+        rk.evaluate(t)
+        ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
+        self.outputs.keep_end_of_slip(t, left, ended)
+        # v_c is round-off there and has no direction: not to be evaluated as slip
+        system.contact_int[contacts, MODE] = STICK
+        rk.load(system.state + left * system.slopes[0])
+        allow_start(t + left, float(scalars["step"]))
+        after = self.transitions.come_to_rest(t + left, ended)
+        self._accepted(after)
+        return after

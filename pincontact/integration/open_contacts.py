@@ -319,12 +319,14 @@ class OpenContacts:
         system.absolute[first : first + 4 * system.nc] = self._absolute[first : first + 4 * system.nc]
         for c in contacts:
             system.absolute[first + 4 * c : first + 4 * c + 4] = 0.0
+        self._watched = [self._nearness(c, t) for c in contacts]
         for c in self._searched:
             # one of them watches for all of the same contours
             others = of_same_contours(system, c)
             if not (free[c] or any(free[i] or i < c for i in others) or touches_once(system, c)):
-                contacts.append(c)
-        self._watched = [self._nearness(c, t) for c in contacts]
+                known = self._nearness(c, t)
+                if known.search is not None:
+                    self._watched.append(known)
 
     # ---------------------------------------------------------------- nearest points
 

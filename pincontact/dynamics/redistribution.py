@@ -200,9 +200,9 @@ class RedundantForces:
         system, rank = self.system, choice.span.shape[1]
         places, slopes = 3 * index[:, 0] + index[:, 1], system.reference_slope
         system.reference_start[:] = slopes[:] = 0.0
-        system.reference_start[index[:, 0], index[:, 1]] = choice.forces
+        system.reference_start.reshape(-1)[places] = choice.forces
         # what forces change by along the span, the choice changes by, and by its tangent
-        slopes[0, places, :rank], slopes[1, places, :rank] = choice.span, choice.span + choice.slope
+        slopes[0, :, :rank][places], slopes[1, :, :rank][places] = choice.span, choice.span + choice.slope
         system.scalars["has_reference"] = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:

@@ -271,13 +271,16 @@ class ModeChanges:
         where some open before the others, what these carry is round-off.
         """
         system = self.system
-        least = max(_NOTHING, system.scale.item(0))
-        closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
-        rows, bias, forces = system.rows[closed, 2], system.bias[closed, 2], np.abs(system.force[closed])
+        least, forces = max(_NOTHING, system.scale.item(0)), system.force.tolist()
+        # bodies that are pressed together have forces of their own
+        largest = 10.0 * least * self.modes.largest_load()
+        idle = [c for c in system.closed() if max(map(abs, forces[c])) <= largest]
+        closed = [c for c in idle if system.contact_int[c, UNILATERAL]]
+        if not closed:
+            return []
+        rows, bias = system.rows[closed, 2], system.bias[closed, 2]
         rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
         parted = rates >= -least * (sizes + np.abs(bias))
-        # bodies that are pressed together have forces of their own
-        parted &= forces.max(axis=1, initial=0.0) <= 10.0 * least * self.modes.largest_load()
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:

@@ -89,17 +89,23 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
 
     forces: (n,); null: (n, k) from `null_space`.
     """
-    n, k = null.shape
-    if k == 0 or not cones:
-        return None
-    # (s, t1, t2) of each cone in terms of forces; a missing tangent is zero
-    parts, offsets = np.zeros((3 * len(cones), n)), np.zeros(3 * len(cones))
+    # a missing tangent is zero
+    parts, offsets = np.zeros((3 * len(cones), len(forces))), np.zeros(3 * len(cones))
     for i, (normal, factor, offset, tangents, scaling) in enumerate(cones):
         parts[3 * i, normal], offsets[3 * i] = factor, offset
         for row, tangent in enumerate(tangents, 3 * i + 1):
             parts[row, tangent] = 1.0
         if scaling is not None:
             parts[3 * i + 1 : 3 * i + 3, tangents] = scaling[:, : len(tangents)]
+    return central_choice(forces, null, parts, offsets)
+
+
+def central_choice(forces: np.ndarray, null: np.ndarray, parts: np.ndarray, offsets: np.ndarray) -> Choice | None:
+    """`central_force` of m cones s >= |t|, of which (s, t1, t2) are three rows of parts (3 m, n) times the forces +
+    offsets (3 m,)."""
+    n, k = null.shape
+    if k == 0 or not offsets.size:
+        return None
     found, basis, slope = np.array(forces), np.empty((n, n)), np.empty((n, n))
     rows, hessian = np.empty((offsets.size, n + 1)), np.empty((n + 1, n + 1))
     scratch = np.empty((SCRATCH_ROWS, max(n + 1, offsets.size)))

@@ -65,10 +65,10 @@ def leaves_loads_open(system: System) -> bool:
     count = int(system.counters["row_count"])
     if count == system.counters["row_rank"]:
         return False
-    modes, rough = system.contact_int[:, MODE], system.contact_real[:, MU] > 0.0
+    modes, mu = system.contact_int[:, MODE].tolist(), system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()
-    slides = any(modes[i] == SLIPPING and rough[i] for i in [*closed, *resisting])
-    if not slides or not (resisting or system.held() or any(modes[c] == STICK and rough[c] for c in closed)):
+    slides = any(modes[i] == SLIPPING and mu[i] > 0.0 for i in [*closed, *resisting])
+    if not slides or not (resisting or system.held() or any(modes[c] == STICK and mu[c] > 0.0 for c in closed)):
         return False
     rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
     _, singular, right = np.linalg.svd(rows @ directions.T)

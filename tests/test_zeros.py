@@ -11,7 +11,7 @@ from calling import from_python
 import pincontact as pc
 from pincontact.integration import sign_changes
 from pincontact.integration.crossings import find_crossings, find_valleys
-from pincontact.integration.locator import EventLocator
+from pincontact.integration.locator import EventLocator, fastest
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
 from pincontact.integration.steps import FIND_ZERO
@@ -429,3 +429,16 @@ def test_what_samples_show(seed):
             valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
         assert found[: find_valleys(values, found)].tolist() == np.argwhere(valleys).tolist()
         assert n < 9 or (valleys.any() and crosses[:, :, [GAP_EVENT, SPEED_EVENT]].any())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rate_in_tolerances(seed):
+    """Of what has a tolerance; the largest of three is either of them."""
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        state, slope, absolute = rng.normal(size=(3, 3))
+        absolute = np.where(absolute > 0.8, 0.0, np.abs(absolute))
+        rates = np.abs(slope) / (absolute + 0.3 * np.abs(state))
+        largest = rates[absolute > 0.0].max(initial=0.0)
+        # three operations on numbers of that size
+        assert fastest(state, slope, absolute, 0.3) == pytest.approx(largest, rel=1e-15)

@@ -46,6 +46,9 @@ assert len(_PLACES) == SCAN_ROOM
 _REFINEMENTS = 8
 _REFINED = 1e-14
 _STANDS = 1e-2
+# Dense output is as good as a step to the event where the error norm of the whole step is no more than this: its own
+# error, up to 50 times that norm (DOP853), or 450 times (Sharp98), then is less than steps are allowed.
+_AS_GOOD = 1e-3
 # The slope at an event is taken over this part of the step before it, and no further back than half the way to it.
 _SLOPE_OVER = 1e-4
 # No step to an event goes further beyond the step in which it was seen.
@@ -201,9 +204,9 @@ class EventLocator:
         and whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
 
         The state that the trial step leaves is of the method's full order; only where to stop came from the dense
-        output.
+        output. Where that is as good there is no such step, and its own state is left.
         """
-        system, h = self.system, crossing.theta * step
+        system, h, as_good = self.system, crossing.theta * step, self.rk.error <= _AS_GOOD
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
         c, kind, slack = crossing.c, crossing.kind, system.slack
         # as small as the step to the crossing has it
@@ -231,9 +234,9 @@ class EventLocator:
         stands = _STANDS / rate if rate > 0.0 else math.inf
         change, begun = 0.0, h
         for _ in range(_REFINEMENTS):
-            if change * change > stands * begun or not self._move_on(t + h, change):
+            if as_good or change * change > stands * begun or not self._move_on(t + h, change):
                 begun = h
-                if self.rk.attempt(t, h) != OK:
+                if not self._reach(t, h, step, as_good):
                     return h, True
             value = float(system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
@@ -253,6 +256,16 @@ class EventLocator:
             h = crossing.theta * step
             self.rk.attempt(t, h)
         return h, not denied
+
+    def _reach(self, t: float, h: float, step: float, as_good: bool) -> bool:
+        """A trial step of size h, or what the dense output of the whole step has there, where that is as good; whether
+        it can be evaluated."""
+        if not as_good or h > step:
+            return self.rk.attempt(t, h) == OK
+        system = self.system
+        exists, _ = system.look(t, step, h / step)
+        system.new_state[:], system.scalars["step"] = system.stage_state, h
+        return exists
 
     def _move_on(self, t: float, change: float) -> bool:
         """Move the end of the last trial step on along its slope, by a time in s whose square counts for nothing: to t.

@@ -32,26 +32,20 @@ _AT_REST = 1e-9
 
 
 class Cone(NamedTuple):
-    """factor x[normal] + offset >= |scaling x[tangents]|, of forces x; or >= 0, where there are no tangents.
-
-    scaling (2, 2): None for round cones.
-    """
+    """factor x[normal] + offset >= |x[tangents]|, of forces x; or >= 0, where there are no tangents."""
 
     normal: int
     factor: float
     offset: float
     tangents: tuple[int, ...] = ()
-    scaling: np.ndarray | None = None
 
 
 class Cones(list[Cone]):
     """The cones in which redundant forces are chosen, of runs and of time steps."""
 
-    def add_contact(
-        self, normal: int, mu: float, tangents: Sequence[int] = (), scaling: np.ndarray | None = None
-    ) -> None:
+    def add_contact(self, normal: int, mu: float, tangents: Sequence[int] = ()) -> None:
         """mu times the normal force is no less than the friction; without tangents the normal force no less than 0."""
-        self.append(Cone(normal, mu, 0.0, tuple(tangents), scaling) if tangents else Cone(normal, 1.0, 0.0))
+        self.append(Cone(normal, mu, 0.0, tuple(tangents)) if tangents else Cone(normal, 1.0, 0.0))
 
     def add_range(self, row: int, low: float, high: float) -> None:
         """A force between two bounds, which may be infinite."""
@@ -91,12 +85,10 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
     """
     # a missing tangent is zero
     parts, offsets = np.zeros((3 * len(cones), len(forces))), np.zeros(3 * len(cones))
-    for i, (normal, factor, offset, tangents, scaling) in enumerate(cones):
+    for i, (normal, factor, offset, tangents) in enumerate(cones):
         parts[3 * i, normal], offsets[3 * i] = factor, offset
         for row, tangent in enumerate(tangents, 3 * i + 1):
             parts[row, tangent] = 1.0
-        if scaling is not None:
-            parts[3 * i + 1 : 3 * i + 3, tangents] = scaling[:, : len(tangents)]
     return central_choice(forces, null, parts, offsets)
 
 

@@ -25,6 +25,7 @@ from pincontact.friction import cone
 from pincontact.friction.centred import Choice, Cone
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
+    ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
     COUNTERS,
@@ -57,6 +58,9 @@ from pincontact.layout import (
     OWNER,
     PATTERN,
     SCALARS,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -852,6 +856,10 @@ def test_cones_of_forces():
     system.contact_int[10:, OWNER] = 2, 5
     system.contact_int[11, TANGENTS] = 1
     system.contact_real[10:, MU_STATIC] = 0.02, 0.03
+    # friction along an axis that is none of the basis
+    system.contact_int[2, ANISOTROPIC] = 1
+    system.contact_real[2, [SCALING_11, SCALING_12, SCALING_22]] = 2.0, 0.3, 1.5
+    stretched = np.linalg.inv([[2.0, 0.3], [0.3, 1.5]])
     listed = [(1, 2), (2, 2), (2, 0), (2, 1), (3, 2), (3, 0), (4, 2), (4, 0), (4, 1), (5, 2), (5, 0), (5, 1), (6, 2)]
     listed += [(6, 1), (6, 0), (7, 2), (8, 2), (9, 2), (10, 0), (10, 1), (11, 0)]
     place = {row: r for r, row in enumerate(listed)}
@@ -864,13 +872,15 @@ def test_cones_of_forces():
         Cone(place[9, 2], -1.0, 0.7),
     ]  # fmt: skip
 
-    def scaled(cones):
-        # of a half-line any multiple is the same
-        return [c if c.tangents or c.offset else Cone(c.normal, math.copysign(1.0, c.factor), 0.0) for c in cones]
-
-    assert scaled(ModeSolver(system)._cones(listed)) == expected
-    system.contact_int[11, MODE] = SLIPPING
-    assert len(ModeSolver(system)._cones(listed)) == len(expected) - 1
+    parts, offsets = ModeSolver(system)._cones(np.array(listed))
+    assert offsets.reshape(-1, 3).tolist() == [[wanted.offset, 0.0, 0.0] for wanted in expected]
+    for (along, *tangents), wanted in zip(parts.reshape(-1, 3, len(listed)), expected, strict=True):
+        assert along.tolist() == (wanted.factor * np.eye(len(listed))[wanted.normal]).tolist()
+        scaling = (stretched if wanted is expected[1] else np.eye(2))[:, : len(wanted.tangents)]
+        assert np.array(tangents) == pytest.approx(scaling @ np.eye(len(listed))[list(wanted.tangents)], abs=1e-15)
+    for fewer, i in ((1, 11), (2, 10)):
+        system.contact_int[i, MODE] = SLIPPING
+        assert len(ModeSolver(system)._cones(np.array(listed))[1]) == 3 * (len(expected) - fewer)
 
 
 def reference_at(system, index, forces):
@@ -971,7 +981,7 @@ def test_when_there_is_no_choice(monkeypatch):
     assert not solver.redundant
     # none inside the cones
     system.whitened_rows[1] = 1.0, 0.0
-    monkeypatch.setattr(redistribution, "central_force", saying(None))
+    monkeypatch.setattr(redistribution, "central_choice", saying(None))
     assert not solver.redistribute(T, never)
     assert solver.redundant
 
@@ -987,17 +997,17 @@ def test_what_friction_holds_up_counts_by_its_friction(monkeypatch):
     system.counters["row_rank"] = 3
     system.whitened_forces[1] = 2.0, 0.0
     asked = saying(None)
-    monkeypatch.setattr(redistribution, "central_force", asked)
+    monkeypatch.setattr(redistribution, "central_choice", asked)
     solver.redistribute(T, never)
-    forces, null, cones = asked.asked[0]
+    forces, null, parts, _ = asked.asked[0]
     assert forces.tolist() == [1.0, 5.0, 0.3, 0.1]
     # one of the two that do the same, the second twice as much, and the row that does nothing
     assert np.abs(np.array([1.0, 2.0, 0.0, 0.0]) @ null).max() < 1e-12
     assert np.abs(null[3]).max() < 1e-12
-    assert len(cones) == 3
+    assert len(parts) == 9
     system.contact_int[1, MODE] = FRICTIONLESS
     solver.redistribute(T, never)
-    forces, null, _ = asked.asked[1]
+    forces, null, _, _ = asked.asked[1]
     assert forces.tolist() == [1.0, 0.0, 0.3, 0.1]
     assert np.abs(np.array([1.0, 1.0, 0.0, 0.0]) @ null).max() < 1e-12
 

@@ -9,6 +9,7 @@ from test_resistances import MASS, G, slider
 from turning_ball import RADIUS, ball, on_the_floor
 
 import pincontact as pc
+from pincontact.integration.slow_slip import is_aligned
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 MU = 0.3
@@ -19,6 +20,25 @@ def on_the_ramp(excess, direction):
     slope = math.atan(MU * (1.0 + excess))
     scene = slider(pc.Coulomb(MU), slope=slope, direction=direction)
     return scene, scene.initial_state(np.zeros(3), np.zeros(3)), G * MU * excess * math.cos(slope)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slips_along_their_directions(seed):
+    """Across them no more than a part of the tolerance, or of a tenth of what has grown from rest, in shares that are
+    looked at."""
+    rng = np.random.default_rng(seed)
+    found = set()
+    for _ in range(200):
+        along, across = rng.normal(size=(2, 2, 5))
+        across *= 10.0 ** rng.uniform(-4.0, 0.0)
+        grown, count = rng.random(2) < 0.5, int(rng.integers(1, 6))
+        slowest = np.abs(along[:, :count]).min(axis=1)
+        allowed = 0.5 * np.where(grown, np.minimum(0.2, 0.1 * slowest), 0.2)
+        expected = bool((np.abs(across[:, :count]) <= allowed[:, None]).all())
+        assert is_aligned(across, along, grown, 0.2, 0.5, count) == expected
+        found.add(expected)
+    assert found == {True, False}
+    assert not is_aligned(np.array([[math.nan]]), np.ones((1, 1)), np.array([False]), 1.0, 1.0, 1)
 
 
 @pytest.mark.parametrize("direction", [0.7, 2.2])

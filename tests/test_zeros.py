@@ -11,7 +11,7 @@ from calling import from_python
 import pincontact as pc
 from pincontact.integration import sign_changes
 from pincontact.integration.crossings import find_crossings, find_valleys
-from pincontact.integration.locator import EventLocator
+from pincontact.integration.locator import EventLocator, fastest
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
 from pincontact.integration.steps import FIND_ZERO
@@ -325,9 +325,9 @@ def test_samples_foretell_the_zero(monkeypatch):
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
-def test_true_steps_to_a_touch(monkeypatch, rtol):
-    """A point bounces: parabolas, which steps and their dense output follow to round-off, so that one true step is
-    enough for each touch."""
+def test_touches_on_dense_output(monkeypatch, rtol):
+    """A point bounces: parabolas, which steps and their dense output follow to round-off, so that no step is needed for
+    any touch."""
     height, g, kept = 0.2, 9.81, 0.6
     scene = particle(restitution=kept)
     state = scene.initial_state([0.0, 0.0, height], np.zeros(3), free=["c"])
@@ -355,13 +355,11 @@ def test_true_steps_to_a_touch(monkeypatch, rtol):
     # a gap that is zero to a tenth of what open gaps may be below it (see `accuracy`), over the speed of the lowest hop
     slowest = g * fall * kept ** len(times)
     np.testing.assert_allclose(times, expected, rtol=0.0, atol=len(times) * max(1e-13, 1e-7 * rtol / slowest))
-    assert taken == [1] * len(times)
+    assert taken == [0] * len(times)
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
-def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
-    """A thrown body turns, of which the dense output knows less than steps do: one true step for its touch all the
-    same, where its gap is zero to round-off, at the time that shorter steps find."""
+def tumbling(restitution=0.0):
+    """A thrown body that turns, with a foot at its side over a floor."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.05, 0.06]))
@@ -369,10 +367,18 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     foot = scene.add_contour("foot", pc.Point(), "body", pin.SE3(np.eye(3), np.array([0.2, 0.1, -0.05])))
-    scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()))
+    scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()), restitution=restitution)
     state = scene.initial_state(
         [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 1.0, 3.0, -8.0, 5.0], free=["c"]
     )  # fmt: skip
+    return scene, state
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
+    """A thrown body turns, of which the dense output knows less than steps do: one true step for its touch all the
+    same, where its gap is zero to round-off, at the time that shorter steps find."""
+    scene, state = tumbling()
     exact = pc.simulate(scene, state, 1.0, rtol=1e-13, atol=1e-15).events[0]
     refine, attempt = EventLocator.refine, RungeKutta.attempt
     attempts, moved, gaps, ends = [], [], [], []
@@ -403,6 +409,44 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     np.testing.assert_allclose(event.q, exact.q, rtol=0.0, atol=10.0 * rtol)
 
 
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Sharp98"])
+def test_dense_output_that_is_as_good_as_a_step(monkeypatch, method):
+    """Where the error of the whole step is small its dense output is what is stepped to, and as near to the true step
+    as steps are to be to the motion."""
+    scene, state = tumbling(restitution=0.5)
+    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    seen, attempts = [], []
+
+    def compared_refine(locator, t, step, crossing):
+        attempts.clear()
+        rk, system, error = locator.rk, locator.system, locator.rk.error
+        result = refine(locator, t, step, crossing)
+        none, reached = not attempts, system.new_state.copy()
+        # what follows takes it for the step that led there
+        assert attempts or system.scalars["step"] == result[0]
+        attempt(rk, t, result[0])
+        counted = system.absolute > 0.0
+        allowed = system.absolute + system.scale[0] * np.maximum(np.abs(system.state), np.abs(reached))
+        off = ((system.new_state - reached) / np.where(counted, allowed, 1.0))[counted]
+        seen.append((none, error, math.sqrt(float(off @ off) / off.size)))
+        attempt(rk, t, result[0])
+        return result
+
+    def counted_attempt(rk, t, h):
+        attempts.append(h)
+        return attempt(rk, t, h)
+
+    monkeypatch.setattr(EventLocator, "refine", compared_refine)
+    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    for rtol in (1e-6, 1e-9):
+        for longest in (0.001, 0.01, 0.03, 0.1, math.inf):
+            run = pc.simulate(scene, state, 1.2, rtol=rtol, atol=1e-2 * rtol, method=method, max_step=longest)
+            assert run.status == 0, run.message
+    assert {none for none, _, _ in seen} == {True, False}
+    assert all(none == (error <= 1e-3) for none, error, _ in seen)
+    assert all(off < 1.0 for none, _, off in seen if none)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_samples_show(seed):
     """Sign changes and valleys among samples, with all that is none, against array functions."""
@@ -429,3 +473,16 @@ def test_what_samples_show(seed):
             valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
         assert found[: find_valleys(values, found)].tolist() == np.argwhere(valleys).tolist()
         assert n < 9 or (valleys.any() and crosses[:, :, [GAP_EVENT, SPEED_EVENT]].any())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rate_in_tolerances(seed):
+    """Of what has a tolerance; the largest of three is either of them."""
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        state, slope, absolute = rng.normal(size=(3, 3))
+        absolute = np.where(absolute > 0.8, 0.0, np.abs(absolute))
+        rates = np.abs(slope) / (absolute + 0.3 * np.abs(state))
+        largest = rates[absolute > 0.0].max(initial=0.0)
+        # three operations on numbers of that size
+        assert fastest(state, slope, absolute, 0.3) == pytest.approx(largest, rel=1e-15)

@@ -9,11 +9,12 @@ import numpy as np
 
 from ..arrays import array_entry
 from ..constraints.kinematics import ROW_ROUND_OFF
+from ..geometry.small import dot
 from ..jit import INTEGER, REAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
-from ..linalg import RANK_TOLERANCE, largest_entry
+from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
 from .directions import freeze_slip
-from .units import whitened_velocity
+from .units import mass_norm, root_of_squares
 
 if TYPE_CHECKING:
     from .system import System
@@ -68,8 +69,7 @@ class PassingSlip:
         contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
         if not contacts or count == 0:
             return None
-        moving_as = whitened_velocity(system, system.v)
-        speed = math.sqrt(moving_as @ moving_as)
+        speed = mass_norm(system.factor, system.v)
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
@@ -79,17 +79,14 @@ class PassingSlip:
                 tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
                 if accelerates(system.rows[c], system.bias[c], *motion, tangents, length):
                     return c
-        allowed = self._negligible(speed)
-        items, row, unit, lengths = self._unit_rows()
-        slip = max(float(np.abs(system.basis[c] @ system.slip[c]).max()) for c in contacts)
-        # rows that are as dependent as they may be magnify what is wanted no further
-        if slip * math.sqrt(count) <= _SINGULAR * allowed * float(lengths.min(initial=math.inf)):
-            return None
-        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS])
-        wanted = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0) / lengths
-        if float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])) <= allowed:
-            return None
-        return int(items[slips][np.argmax(np.abs(wanted[slips]))])
+        held = np.zeros(system.items, dtype=np.int64)
+        for c in contacts:
+            held[c] = system.contact_int.item(c, TANGENTS)
+        rows, index = system.whitened_rows[:count], system.row_index[:count]
+        scratch = np.empty((count + system.nv + 1, system.nv)), np.empty(count + system.nv)
+        order, allowed = np.empty(system.nv, dtype=np.int64), self._negligible(speed)
+        found = takes_more(rows, index, held, system.basis, system.slip, allowed, *scratch, order)
+        return found if found >= 0 else None
 
     def _held_in_vain(self) -> bool:
         """Whether a joint coordinate that dry friction holds takes part in what no acceleration gives all constrained
@@ -118,20 +115,20 @@ class PassingSlip:
     def _negligible(self, speed: float) -> float:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
-        # no product of BLAS: that of 10,000 numbers and more wakes its threads, which takes longer than all the rest
-        size = math.sqrt(np.add.reduce(np.square(self.system.factor), axis=None))
-        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * size)
+        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * root_of_squares(self.system.factor))
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
         """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
         explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
         system = self.system
-        change, size = (whitened_velocity(system, v) for v in (system.v - before, before))
-        speed = math.sqrt(size @ size)
-        return math.sqrt(change @ change), speed, self._negligible(speed)
+        speed = mass_norm(system.factor, before)
+        return mass_norm(system.factor, system.v - before), speed, self._negligible(speed)
 
 
-@array_entry(REAL[:, ::1], *(REAL[::1],) * 4, INTEGER, REAL)
+_MATRIX = REAL[:, ::1]
+
+
+@array_entry(_MATRIX, *(REAL[::1],) * 4, INTEGER, REAL)
 def accelerates(rows, bias, acceleration, free, v, tangents, length):
     """Whether a contact of this length accelerates along its tangents, though these are held: rows (3, nv) and bias
     (3,) of the last evaluation, with its accelerations and those without forces."""
@@ -148,3 +145,25 @@ def accelerates(rows, bias, acceleration, free, v, tangents, length):
     # by what forces do and by what turns: either may vanish, and not by round-off of rows that are zero
     rounding = ROW_ROUND_OFF * max(length, 1.0) * (largest_entry(free) + largest_entry(v) ** 2)
     return left > max(_UNHELD * (rate + turning**2 / length), rounding)
+
+
+@array_entry(_MATRIX, INTEGER[:, ::1], INTEGER[::1], REAL[:, :, ::1], _MATRIX, REAL, _MATRIX, REAL[::1], INTEGER[::1])
+def takes_more(rows, index, held, basis, slip, allowed, matrix, vector, order):
+    """The item whose slip is largest for its row, if the least velocity in the mass metric that ends all slips along
+    `held` tangents of each item, and leaves the other constrained rows alone, is above what is allowed; else -1.
+
+    rows (count, nv): whitened, of the items and rows of their bases in index (count, 2). matrix (count + nv + 1, nv),
+    vector (count + nv,), order (nv,): scratch.
+    """
+    count, nv, found, most = rows.shape[0], rows.shape[1], -1, 0.0
+    wanted, x = vector[:count], vector[count:]
+    for r in range(count):
+        c, row, length = index[r, 0], index[r, 1], math.sqrt(inner(rows[r], rows[r], nv))
+        moves = 0.0 < length < math.inf
+        for k in range(nv):
+            matrix[r, k] = rows[r, k] / length if moves else 0.0
+        wanted[r] = dot(basis[c, row], slip[c]) / length if moves and row < held[c] else 0.0
+        if abs(wanted[r]) > most:
+            found, most = c, abs(wanted[r])
+    least_norm(matrix, wanted, count, nv, x, matrix[count:], order, _SINGULAR)
+    return found if found >= 0 and inner(x, x, nv) > allowed * allowed else -1

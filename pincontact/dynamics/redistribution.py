@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.centred import Choice, Cones, central_force, null_space
+from ..arrays import array_entry
+from ..friction.centred import Choice, central_choice, null_space
 from ..geometry.patterns import ON_CURVE
+from ..jit import INTEGER, REAL, SEVERAL, kernel
 from ..layout import (
     ANISOTROPIC,
     EVENT,
+    FREE,
     FRICTION_EVENT,
     FRICTIONLESS,
     HIGH_FORCE,
@@ -28,14 +31,17 @@ from ..layout import (
     NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
+    OWNER,
     PATTERN,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIPPING,
     STICK,
     TANGENTS,
     UNILATERAL,
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
-from .friction_scaling import friction_scaling
 from .units import REDUNDANT
 
 if TYPE_CHECKING:
@@ -59,10 +65,10 @@ def leaves_loads_open(system: System) -> bool:
     count = int(system.counters["row_count"])
     if count == system.counters["row_rank"]:
         return False
-    modes, rough = system.contact_int[:, MODE], system.contact_real[:, MU] > 0.0
+    modes, mu = system.contact_int[:, MODE].tolist(), system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()
-    slides = any(modes[i] == SLIPPING and rough[i] for i in [*closed, *resisting])
-    if not slides or not (resisting or system.held() or any(modes[c] == STICK and rough[c] for c in closed)):
+    slides = any(modes[i] == SLIPPING and mu[i] > 0.0 for i in [*closed, *resisting])
+    if not slides or not (resisting or system.held() or any(modes[c] == STICK and mu[c] > 0.0 for c in closed)):
         return False
     rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
     _, singular, right = np.linalg.svd(rows @ directions.T)
@@ -93,7 +99,6 @@ class RedundantForces:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
-        items = [(c, row) for c, row in index.tolist()]
         closed, modes = system.closed(), system.contact_int[:, MODE].tolist()
         slipping = any(modes[c] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
@@ -112,12 +117,12 @@ class RedundantForces:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(items) if slipping else ():
+        for r, (c, row) in enumerate(index.tolist()) if slipping else ():
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        cones, before = self._cones(items), self.reference()
+        (parts, offsets), before = self._cones(index), self.reference()
         for null in choices:
-            found = central_force(forces, null, cones)
+            found = central_choice(forces, null, parts, offsets)
             if found is not None:
                 self._follow(index, found)
                 if evaluate(t) <= EVENT and self._holds():
@@ -200,9 +205,9 @@ class RedundantForces:
         system, rank = self.system, choice.span.shape[1]
         places, slopes = 3 * index[:, 0] + index[:, 1], system.reference_slope
         system.reference_start[:] = slopes[:] = 0.0
-        system.reference_start[index[:, 0], index[:, 1]] = choice.forces
+        system.reference_start.reshape(-1)[places] = choice.forces
         # what forces change by along the span, the choice changes by, and by its tangent
-        slopes[0, places, :rank], slopes[1, places, :rank] = choice.span, choice.span + choice.slope
+        slopes[0, :, :rank][places], slopes[1, :, :rank][places] = choice.span, choice.span + choice.slope
         system.scalars["has_reference"] = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
@@ -225,34 +230,15 @@ class RedundantForces:
         for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):
             array[:] = values
 
-    def _cones(self, index: list[tuple[int, int]]) -> Cones:
-        """The cones of the forces in these constraint rows, of items along their bases."""
+    def _cones(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The cones of the forces in these constraint rows (count, 2) of items and their bases, as `central_choice`
+        takes them."""
         system = self.system
-        rows = {item: r for r, item in enumerate(index)}
-        cones = Cones()
-        for c in system.closed():
-            integers, mu = system.contact_int[c].tolist(), system.contact_real.item(c, MU_STATIC)
-            normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
-            tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
-            scaling = np.linalg.inv(friction_scaling(system, c)) if tangents and integers[ANISOTROPIC] else None
-            if not integers[UNILATERAL]:
-                if not tangents or integers[PATTERN] == ON_CURVE:
-                    continue
-                mu = math.copysign(mu, system.force[c, 2])
-            cones.add_contact(normal, mu, tangents, scaling)
-        for i in system.resisting():
-            if system.contact_int[i, MODE] == STICK:
-                owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))
-                limit = float(system.contact_real[i, MU_STATIC])
-                if not system.contact_int[owner, UNILATERAL]:
-                    limit = math.copysign(limit, system.force[owner, 2])
-                cones.add_contact(rows[owner, 2], limit, tangents)
-        for g in system.held():
-            end, numbers = system.joint_int[g, JOINT_END], system.joint_real[g]
-            low, high = numbers.item(LOW_FORCE), numbers.item(HIGH_FORCE)
-            row = rows[system.nc + g, 2]
-            cones.add_range(row, low if end <= 0 else -math.inf, high if end >= 0 else math.inf)
-        return cones
+        most = system.nc + system.nr + 2 * system.ng
+        parts, offsets = np.zeros((3 * most, len(index))), np.zeros(3 * most)
+        contacts, joints = (system.contact_int, system.contact_real), (system.joint_int, system.joint_real)
+        count = put_cones(*contacts, *joints, system.force, index, system.nc, system.ng, parts, offsets)
+        return parts[: 3 * count], offsets[: 3 * count]
 
     def _holds(self) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
@@ -271,3 +257,55 @@ class RedundantForces:
         """The largest load on a joint, in N or N m, without constraints."""
         loads = zip(self.system.bias_forces.tolist(), self.system.tau.tolist())
         return max((abs(bias) + abs(torque) for bias, torque in loads), default=0.0)
+
+
+_REALS, _INTEGERS = REAL[:, ::1], INTEGER[:, ::1]
+
+
+@array_entry(*(_INTEGERS, _REALS) * 2, _REALS, _INTEGERS, INTEGER, INTEGER, _REALS, REAL[::1], when=SEVERAL)
+def put_cones(contact_int, contact_real, joint_int, joint_real, force, index, nc, ng, parts, offsets):
+    """The cones of the forces in the constraint rows index (count, 2), see `RedundantForces._cones`, into parts and
+    offsets, which are zero; how many."""
+    m, first = 0, nc + ng
+    for i in range(force.shape[0]):
+        owner = contact_int[i, OWNER] if i >= first else i
+        contact, mode, mu = contact_int[i], contact_int[i, MODE], contact_real[i, MU_STATIC]
+        if (nc <= i < first) or contact_int[owner, MODE] == FREE or (i >= first and mode != STICK):
+            continue
+        tangents = contact[TANGENTS] if mode == STICK and mu < math.inf else 0
+        if contact_int[owner, UNILATERAL] == 0:
+            # its friction goes with the load of either sign
+            if tangents == 0 or (i < nc and contact[PATTERN] == ON_CURVE):
+                continue
+            mu = math.copysign(mu, force[owner, 2])
+        parts[3 * m, _place(index, owner, 2)] = mu if tangents > 0 else 1.0
+        for row in range(tangents):
+            put_tangent(contact, contact_real[i], row, _place(index, i, row), parts[3 * m + 1 : 3 * m + 3])
+        m += 1
+    for g in range(ng):
+        end = joint_int[g, JOINT_END]
+        low, high = joint_real[g, LOW_FORCE], joint_real[g, HIGH_FORCE]
+        for sign, size, bounded in ((1.0, -low, end <= 0), (-1.0, high, end >= 0)):
+            if contact_int[nc + g, MODE] != FREE and bounded and size < math.inf:
+                parts[3 * m, _place(index, nc + g, 2)], offsets[3 * m] = sign, size
+                m += 1
+    return m
+
+
+@kernel
+def put_tangent(contact, number, row, place, parts):
+    """A tangential force in its cone: friction that is not the same along all axes is stretched to a round one."""
+    parts[row, place] = 1.0
+    if contact[ANISOTROPIC] != 0:
+        a, b, d = number[SCALING_11], number[SCALING_12], number[SCALING_22]
+        first, second = (d, -b) if row == 0 else (-b, a)
+        parts[0, place], parts[1, place] = first / (a * d - b * b), second / (a * d - b * b)
+
+
+@kernel
+def _place(index, item, row):
+    """The constraint row that is a row of an item's basis."""
+    r, last = 0, index.shape[0] - 1
+    while r < last and (index[r, 0] != item or index[r, 1] != row):
+        r += 1
+    return r

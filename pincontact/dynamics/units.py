@@ -62,6 +62,24 @@ def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
     return out
 
 
+@array_entry(REAL[:, ::1], REAL[::1])
+def mass_norm(factor, v):
+    """|L v|, with M = L^T L: the root of twice the kinetic energy of v (nv,)."""
+    total = 0.0
+    for i in range(v.shape[0]):
+        total += inner(factor[i], v, i + 1) ** 2
+    return math.sqrt(total)
+
+
+@array_entry(REAL[:, ::1])
+def root_of_squares(matrix):
+    """Frobenius norm."""
+    total = 0.0
+    for i in range(matrix.shape[0]):
+        total += inner(matrix[i], matrix[i], matrix.shape[1])
+    return math.sqrt(total)
+
+
 @array_entry(REAL[:, ::1], REAL[::1], REAL[::1])
 def multiply_lower(lower, x, out):
     """out = the lower triangle of a matrix (n, n) times x (n,)."""

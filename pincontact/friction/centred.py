@@ -32,26 +32,20 @@ _AT_REST = 1e-9
 
 
 class Cone(NamedTuple):
-    """factor x[normal] + offset >= |scaling x[tangents]|, of forces x; or >= 0, where there are no tangents.
-
-    scaling (2, 2): None for round cones.
-    """
+    """factor x[normal] + offset >= |x[tangents]|, of forces x; or >= 0, where there are no tangents."""
 
     normal: int
     factor: float
     offset: float
     tangents: tuple[int, ...] = ()
-    scaling: np.ndarray | None = None
 
 
 class Cones(list[Cone]):
     """The cones in which redundant forces are chosen, of runs and of time steps."""
 
-    def add_contact(
-        self, normal: int, mu: float, tangents: Sequence[int] = (), scaling: np.ndarray | None = None
-    ) -> None:
+    def add_contact(self, normal: int, mu: float, tangents: Sequence[int] = ()) -> None:
         """mu times the normal force is no less than the friction; without tangents the normal force no less than 0."""
-        self.append(Cone(normal, mu, 0.0, tuple(tangents), scaling) if tangents else Cone(normal, 1.0, 0.0))
+        self.append(Cone(normal, mu, 0.0, tuple(tangents)) if tangents else Cone(normal, 1.0, 0.0))
 
     def add_range(self, row: int, low: float, high: float) -> None:
         """A force between two bounds, which may be infinite."""
@@ -89,17 +83,21 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
 
     forces: (n,); null: (n, k) from `null_space`.
     """
-    n, k = null.shape
-    if k == 0 or not cones:
-        return None
-    # (s, t1, t2) of each cone in terms of forces; a missing tangent is zero
-    parts, offsets = np.zeros((3 * len(cones), n)), np.zeros(3 * len(cones))
-    for i, (normal, factor, offset, tangents, scaling) in enumerate(cones):
+    # a missing tangent is zero
+    parts, offsets = np.zeros((3 * len(cones), len(forces))), np.zeros(3 * len(cones))
+    for i, (normal, factor, offset, tangents) in enumerate(cones):
         parts[3 * i, normal], offsets[3 * i] = factor, offset
         for row, tangent in enumerate(tangents, 3 * i + 1):
             parts[row, tangent] = 1.0
-        if scaling is not None:
-            parts[3 * i + 1 : 3 * i + 3, tangents] = scaling[:, : len(tangents)]
+    return central_choice(forces, null, parts, offsets)
+
+
+def central_choice(forces: np.ndarray, null: np.ndarray, parts: np.ndarray, offsets: np.ndarray) -> Choice | None:
+    """`central_force` of m cones s >= |t|, of which (s, t1, t2) are three rows of parts (3 m, n) times the forces +
+    offsets (3 m,)."""
+    n, k = null.shape
+    if k == 0 or not offsets.size:
+        return None
     found, basis, slope = np.array(forces), np.empty((n, n)), np.empty((n, n))
     rows, hessian = np.empty((offsets.size, n + 1)), np.empty((n + 1, n + 1))
     scratch = np.empty((SCRATCH_ROWS, max(n + 1, offsets.size)))

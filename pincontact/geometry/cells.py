@@ -15,7 +15,7 @@ from ..contours.base import F_1, F_2, F_11, F_12, F_22, Contour
 from ..contours.evaluation import call_contour
 from ..contours.sizes import DERIVATIVE_ROWS
 from ..jit import CALLED, INTEGER, entry_kernel, kernel
-from ..workspace import INTEGERS, REALS, Layout, Workspace, record
+from ..workspace import INTEGERS, REALS, Layout, Scratch, Workspace, record
 from .small import dot, norm, rotate_back
 
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
@@ -39,30 +39,32 @@ _COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet")
 # time in s; in m: beyond, how much farther than the nearest cell others may be that are kept; around, the radius of a
 # sample's cell; finest, of cells that are resolved
 _NUMBERS = record(REALS, "time", "beyond", "around", "finest")
+_REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
+# "given": an array of somebody else's is put there
 SEARCH = Layout(
     "search",
-    counts=(_COUNTS, 0),
-    numbers=(_NUMBERS, 0),
-    shape=(REALS, 1),  # of the contour, see `contours.evaluation`
-    pool=(REALS, 1),
+    counts=(_COUNTS,),
+    numbers=(_NUMBERS,),
+    shape=(REALS, "given"),  # of the contour, see `contours.evaluation`
+    pool=(REALS, "given"),
     domain=(REALS, 2, 2),  # (2, 2) low and high ends of its parameters
     box=(REALS, 2, 2),  # (2, 2) the part of that which is covered
-    pose=(REALS, 2, 3),  # (5, 3) rotation of the samples' frame in the contour's; a point in the latter, in the former
-    samples=(REALS, 2, 3),  # (m, 3), see `SampleTree`
-    nodes=(REALS, 2, 4),  # (k, 4)
-    ends=(INTEGERS, 2, 2),  # (k, 2)
-    order=(INTEGERS, 1),  # (m,)
-    middles=(REALS, 2, 2),  # (n, 2) parameters of cells
-    halves=(REALS, 2, 2),  # (n, 2) half their size
-    points=(REALS, 2, 3),  # (n, 3) their middles, in the contour's frame
-    reaches=(REALS, 1),  # (n,) their radii in m
-    distances=(REALS, 1),  # (n,) of their middles from the nearest sample, in m
-    pairs=(INTEGERS, 1),  # (n,) that sample, in the order of the tree
-    targets=(REALS, 2, 3),  # (MOST_FEET, 3) in the contour's frame
-    feet=(REALS, 2, 2),  # (MOST_FEET, 2) parameters: starts, then feet
-    stack=(INTEGERS, 1),
-    rows=(REALS, 2, 3),  # (10, 3) f and its derivatives
-    vectors=(REALS, 2, 3),
+    pose=(REALS, 5, 3),  # (5, 3) rotation of the samples' frame in the contour's; a point in the latter, in the former
+    samples=(REALS, "given", 3),  # (m, 3), see `SampleTree`
+    nodes=(REALS, "given", 4),  # (k, 4)
+    ends=(INTEGERS, "given", 2),  # (k, 2)
+    order=(INTEGERS, "given"),  # (m,)
+    middles=(_REALS, _MOST_CELLS, 2),  # (n, 2) parameters of cells
+    halves=(_REALS, _MOST_CELLS, 2),  # (n, 2) half their size
+    points=(_REALS, _MOST_CELLS, 3),  # (n, 3) their middles, in the contour's frame
+    reaches=(_REALS, _MOST_CELLS),  # (n,) their radii in m
+    distances=(_REALS, _MOST_CELLS),  # (n,) of their middles from the nearest sample, in m
+    pairs=(_INTEGERS, _MOST_CELLS),  # (n,) that sample, in the order of the tree
+    targets=(_REALS, MOST_FEET, 3),  # (MOST_FEET, 3) in the contour's frame
+    feet=(_REALS, MOST_FEET, 2),  # (MOST_FEET, 2) parameters: starts, then feet
+    stack=(_INTEGERS, 2 * _LEVELS),
+    rows=(REALS, DERIVATIVE_ROWS, 3),  # (10, 3) f and its derivatives: those that there are not stay zero
+    vectors=(_REALS, 2, 3),
 )
 _search_at = SEARCH.at
 
@@ -96,24 +98,7 @@ class SampleTree:
 def search_workspace(contour: Contour, points: np.ndarray) -> Workspace:
     """The arrays of `SEARCH` for a contour and samples (m, 3) of another one."""
     search = Workspace(SEARCH)
-    sizes = {
-        "counts": (),
-        "numbers": (),
-        "domain": (2, 2),
-        "box": (2, 2),
-        "pose": (5, 3),
-        "stack": (2 * _LEVELS,),
-        "middles": (_MOST_CELLS, 2),
-        "halves": (_MOST_CELLS, 2),
-        "points": (_MOST_CELLS, 3),
-        **dict.fromkeys(("reaches", "distances", "pairs"), (_MOST_CELLS,)),
-        "targets": (MOST_FEET, 3),
-        "feet": (MOST_FEET, 2),
-        "rows": (DERIVATIVE_ROWS, 3),
-        "vectors": (2, 3),
-    }
-    for name, extents in sizes.items():
-        search.zeros(name, *extents)
+    search.allocate()
     search.put("shape", contour.shape_row())
     search.put("pool", contour.pool)
     search.domain[: contour.dimension] = contour.domain

@@ -14,7 +14,9 @@ from itertools import groupby
 
 import numpy as np
 
+from ..arrays import array_entry
 from ..dynamics.event_functions import FORCE_EVENTS
+from ..jit import REAL
 from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
@@ -44,6 +46,9 @@ assert len(_PLACES) == SCAN_ROOM
 _REFINEMENTS = 8
 _REFINED = 1e-14
 _STANDS = 1e-2
+# Dense output is as good as a step to the event where the error norm of the whole step is no more than this: its own
+# error, up to 50 times that norm (DOP853), or 450 times (Sharp98), then is less than steps are allowed.
+_AS_GOOD = 1e-3
 # The slope at an event is taken over this part of the step before it, and no further back than half the way to it.
 _SLOPE_OVER = 1e-4
 # No step to an event goes further beyond the step in which it was seen.
@@ -119,8 +124,9 @@ class EventLocator:
         system, nc = self.system, self.system.nc
         n, slack = system.items, system.slack
         slack[:n, GAP_EVENT] = gap_resolution(system) + self._depths
-        # the upper end of a joint coordinate
-        slack[nc:n, DOMAIN_EVENT] = slack[nc:n, GAP_EVENT]
+        if n > nc:
+            # the upper end of a joint coordinate
+            slack[nc:n, DOMAIN_EVENT] = slack[nc:n, GAP_EVENT]
         slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
     def _with_lowest(
@@ -185,7 +191,8 @@ class EventLocator:
         system.sought[:] = NOT_SOUGHT
         for pair in crossed:
             system.sought[pair] = known.get(pair, UNKNOWN)
-        system.sought[list(self._open.passed), GAP_EVENT] = LEFT_OUT
+        for item in self._open.passed:
+            system.sought[item, GAP_EVENT] = LEFT_OUT
         c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
         value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
         return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value)
@@ -197,21 +204,21 @@ class EventLocator:
         and whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
 
         The state that the trial step leaves is of the method's full order; only where to stop came from the dense
-        output.
+        output. Where that is as good there is no such step, and its own state is left.
         """
-        h = crossing.theta * step
+        system, h, as_good = self.system, crossing.theta * step, self.rk.error <= _AS_GOOD
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
-        c, kind, slack = crossing.c, crossing.kind, self.system.slack
+        c, kind, slack = crossing.c, crossing.kind, system.slack
         # as small as the step to the crossing has it
         found = crossing.value - slack.item(c, kind)
         self._set_slack()
         found += slack.item(c, kind)
-        exists, values = self.system.look(t, step, back / step)
+        exists, values = system.look(t, step, back / step)
         if not exists or math.isnan(found):
             self.rk.attempt(t, h)
             return h, True
         slope = (found - values.item(c, kind)) / (h - back)
-        is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
+        is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = slack.item(c, kind) - depth
@@ -221,14 +228,17 @@ class EventLocator:
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
         is_force = kind in FORCE_EVENTS
-        denied, value, stands = True, 0.0, self._time_to_move()
+        denied, value = True, 0.0
+        rate = fastest(system.state, system.slopes[0], system.absolute, system.scale.item(0))
+        # the time in which the state moves by so much of its tolerance
+        stands = _STANDS / rate if rate > 0.0 else math.inf
         change, begun = 0.0, h
         for _ in range(_REFINEMENTS):
-            if change * change > stands * begun or not self._move_on(t + h, change):
+            if as_good or change * change > stands * begun or not self._move_on(t + h, change):
                 begun = h
-                if self.rk.attempt(t, h) != OK:
+                if not self._reach(t, h, step, as_good):
                     return h, True
-            value = float(self.system.event_functions[c, kind]) + depth
+            value = float(system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
@@ -247,6 +257,16 @@ class EventLocator:
             self.rk.attempt(t, h)
         return h, not denied
 
+    def _reach(self, t: float, h: float, step: float, as_good: bool) -> bool:
+        """A trial step of size h, or what the dense output of the whole step has there, where that is as good; whether
+        it can be evaluated."""
+        if not as_good or h > step:
+            return self.rk.attempt(t, h) == OK
+        system = self.system
+        exists, _ = system.look(t, step, h / step)
+        system.new_state[:], system.scalars["step"] = system.stage_state, h
+        return exists
+
     def _move_on(self, t: float, change: float) -> bool:
         """Move the end of the last trial step on along its slope, by a time in s whose square counts for nothing: to t.
         False where there is nothing to move, or it cannot be evaluated there."""
@@ -257,15 +277,17 @@ class EventLocator:
         self.rk.load(system.new_state)
         return self.rk.evaluate(t) <= EVENT
 
-    def _time_to_move(self) -> float:
-        """Time in s in which the state at the step's start moves by `_STANDS` of its tolerance."""
-        system = self.system
-        counted = system.absolute > 0.0
-        allowed = system.absolute + system.scale[0] * np.abs(system.state)
-        rate = float(np.abs(system.slopes[0][counted] / allowed[counted]).max(initial=0.0))
-        return _STANDS / rate if rate > 0.0 else math.inf
-
     def _round_off(self, c: int, kind: int) -> float:
         """What is next to nothing in an event function, against its sizes in the last trial step."""
         lowest, highest = float(self.system.lowest[c, kind]), float(self.system.highest[c, kind])
         return _NEXT_TO_NOTHING * max(abs(lowest), abs(highest))
+
+
+@array_entry(*(REAL[::1],) * 3, REAL)
+def fastest(state, slope, absolute, relative):
+    """The largest rate in a state's slope, in tolerances per s; absolute: 0 of what has none."""
+    rate = 0.0
+    for i in range(state.shape[0]):
+        if absolute[i] > 0.0:
+            rate = max(rate, abs(slope[i]) / (absolute[i] + relative * abs(state[i])))
+    return rate

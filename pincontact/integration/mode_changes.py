@@ -170,17 +170,17 @@ class ModeChanges:
         Bodies do not turn at one contact whose others stick, and coupled joints stop together.
         """
         system = self.system
-        integers, numbers, joints = system.contact_int, system.contact_real, range(system.nc, system.nc + system.ng)
-        slid = before == SLIPPING
-        slid[joints] = before[joints] == FREE
-        sliding = (integers[:, MODE] == SLIPPING) & np.isfinite(numbers[:, MU]) & ((integers[:, FROZEN] == 0) | ~slid)
-        sliding[joints] = [bool(limit.dry) and self.joints.is_free(g) for g, limit in enumerate(system.limits)]
-        if not (sliding & slid).any():
+        slid, integers, mu = before == SLIPPING, system.contact_int, system.contact_real[:, MU].tolist()
+        slid[system.nc : system.nc + system.ng] = before[system.nc : system.nc + system.ng] == FREE
+        moving = [i for i in np.flatnonzero(integers[:, MODE] == SLIPPING).tolist() if mu[i] < math.inf]
+        sliding = [i for i in moving if not (integers[i, FROZEN] and slid[i])]
+        sliding += [system.nc + g for g, limit in enumerate(system.limits) if limit.dry and self.joints.is_free(g)]
+        if not any(slid[i] for i in sliding):
             return []
         self.rk.evaluate(t)
         slowest = rest_speed(system)
-        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self.slip_speed(i) <= slowest]
-        return at_rest if slid[at_rest].any() else []
+        at_rest = [i for i in sliding if self.slip_speed(i) <= slowest]
+        return at_rest if any(slid[i] for i in at_rest) else []
 
     def _hold(self, items: list[int]) -> None:
         """Hold items that are at rest."""
@@ -271,13 +271,16 @@ class ModeChanges:
         where some open before the others, what these carry is round-off.
         """
         system = self.system
-        least = max(_NOTHING, system.scale.item(0))
-        closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
-        rows, bias, forces = system.rows[closed, 2], system.bias[closed, 2], np.abs(system.force[closed])
+        least, forces = max(_NOTHING, system.scale.item(0)), system.force.tolist()
+        # bodies that are pressed together have forces of their own
+        largest = 10.0 * least * self.modes.largest_load()
+        idle = [c for c in system.closed() if max(map(abs, forces[c])) <= largest]
+        closed = [c for c in idle if system.contact_int[c, UNILATERAL]]
+        if not closed:
+            return []
+        rows, bias = system.rows[closed, 2], system.bias[closed, 2]
         rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
         parted = rates >= -least * (sizes + np.abs(bias))
-        # bodies that are pressed together have forces of their own
-        parted &= forces.max(axis=1, initial=0.0) <= 10.0 * least * self.modes.largest_load()
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
@@ -326,15 +329,15 @@ class ModeChanges:
         all."""
         system, loads = self.system, self._loads()
         sticking = self.sticking() if among is None else among
-        limits = {i: system.contact_real.item(i, MU_STATIC) * loads.item(system.owner(i)) for i in sticking}
+        limits = {i: system.contact_real.item(i, MU_STATIC) * loads[system.owner(i)] for i in sticking}
         left = system.event_functions[:, FRICTION_EVENT].tolist()
         return [i for i, limit in limits.items() if abs(left[i]) < within * limit]
 
-    def _loads(self) -> np.ndarray:
-        """(nc,) normal forces in N of all contacts, zero where they are next to nothing."""
-        loads = np.abs(self.system.force[: self.system.nc, 2])
-        loads[loads <= _AT_LIMIT * loads.max(initial=0.0)] = 0.0
-        return loads
+    def _loads(self) -> list[float]:
+        """Normal forces in N of all contacts, zero where they are next to nothing."""
+        loads = [abs(normal) for normal in self.system.force[: self.system.nc, 2].tolist()]
+        least = _AT_LIMIT * max(loads, default=0.0)
+        return [load if load > least else 0.0 for load in loads]
 
     # ---------------------------------------------------------------- the state
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,9 +90,8 @@ class Nearness:
         # sides whose contours change with time
         self.changing = [2 * c + i for i, body in enumerate(bodies) if body.contour.time_dependent]
         self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
-        if search is None and is_searched(system, c):
-            with suppress(ValueError):
-                self.search = NearestSearch(system, c, t)
+        if search is None and is_searched(system, c) and any(np.isfinite(shape.domain).all() for shape in (one, two)):
+            self.search = NearestSearch(system, c, t)
         if self.search is not None:
             self.near = _NEAR * self.search.bend
         if self.search is not None:

@@ -47,9 +47,12 @@ class Reports:
     """
 
     def __init__(self, rk: RungeKutta, modes: ModeSolver, names: list[str], span: float) -> None:
-        self.rk, self.system, self.modes, self.names, self.span = rk, rk.system, modes, names, span
+        self.rk, self.system, self.modes, self.names = rk, rk.system, modes, names
         self.events: list[Event] = []
         self._changes: list[tuple[float, int]] = []
+        # so many mode changes are too many within so many s
+        dense, long = _DENSE_EVENTS * self.system.items, min(_DENSE_SPAN * span, _DENSE_TIME)
+        self._chatter = (_CHATTER_EVENTS, _CHATTER_SPAN * span), (dense, long)
         self._rebounds: list[tuple[float, int]] = []
 
     # ---------------------------------------------------------------- events
@@ -96,9 +99,7 @@ class Reports:
 
     def check_chatter(self, t: float, item: int) -> None:
         """Count a mode change of an item; raises Stop where there are too many in too short a time."""
-        dense = _DENSE_EVENTS * self.system.items
-        short, long = _CHATTER_SPAN * self.span, min(_DENSE_SPAN * self.span, _DENSE_TIME)
-        self._count(self._changes, t, item, "mode changes", ((_CHATTER_EVENTS, short), (dense, long)))
+        self._count(self._changes, t, item, "mode changes", self._chatter)
 
     def check_rebounds(self, t: float, item: int) -> None:
         """Count a rebound of an item; raises Stop where there are too many at one time: a light body between heavy ones
@@ -119,7 +120,7 @@ class Reports:
                     f"t = {t:.9g} s: {count} {what} within {t - happened[-count - 1][0]:.3g} s (chatter), most of "
                     f"{', '.join(self._describe(i) for i, _ in often)}; {ADVICE}",
                 )
-        most = 2 * max(count for count, _ in limits)
+        most = 2 * max(limits)[0]
         if len(happened) > most:
             del happened[: most // 2]
 

@@ -168,7 +168,7 @@ class SlipOnset:
         if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
             # friction falls to its sliding value: slip starts with a finite acceleration
             return self.resolve(t, changes.sticking(), beyond=c)
-        changes.project(t)
+        # the state is on its constraints, and evaluated
         self.rk.accept()
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
@@ -234,8 +234,8 @@ class SlipOnset:
 
     def _is_known_in_slip(self, c: int) -> bool:
         """Whether item c has, as it begins to slip, two tangents and the friction that has held it."""
-        mu, holds = self.system.contact_real[c, [MU, MU_STATIC]].tolist()
-        return bool(mu == holds < math.inf and self.system.contact_int[c, TANGENTS] == 2)
+        mu, holds = self.system.contact_real.item(c, MU), self.system.contact_real.item(c, MU_STATIC)
+        return bool(mu == holds < math.inf and self.system.contact_int.item(c, TANGENTS) == 2)
 
     def _shows(self, t: float, items: list[int]) -> bool:
         """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with: no
@@ -378,14 +378,17 @@ class SlipOnset:
         """The part of the last trial step, which has been interpolated, in which nothing opens, closes or begins to
         slip, within the errors of gaps and forces; 1 where that is all of it."""
         system, n = self.system, self.system.items
-        allowed = np.full((n, EVENTS_PER_CONTACT), math.inf)
-        touchable = np.ones(n, dtype=bool)
-        touchable[: system.nc] = self.open.apart
-        allowed[touchable, GAP_EVENT] = (system.gap_accuracy + self.depths)[touchable]
-        allowed[:, DOMAIN_EVENT] = system.gap_accuracy
-        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
-        allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
-        if (system.lowest[:n] >= -allowed).all():
+        allowed, lowest = np.full((n, EVENTS_PER_CONTACT), math.inf), system.lowest[:n]
+        happens = not lowest.min(initial=math.inf) >= 0.0
+        if happens:
+            touchable = np.ones(n, dtype=bool)
+            touchable[: system.nc] = self.open.apart
+            allowed[touchable, GAP_EVENT] = (system.gap_accuracy + self.depths)[touchable]
+            allowed[:, DOMAIN_EVENT] = system.gap_accuracy
+            force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+            allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
+            happens = not (lowest >= -allowed).all()
+        if not happens:
             foreseen, item, kind = self._foreseen
             self.pending = (item, kind) if step == foreseen and kind in FORCE_EVENTS else None
             return 1.0
@@ -411,9 +414,9 @@ class SlipOnset:
         """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""
         system, accuracy = self.system, self.system.gap_accuracy
         left = math.inf
-        for c in np.flatnonzero((system.modes == FREE) & self.open.apart).tolist():
-            approach = -gap_rate(system, c)
-            if system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
+        for c, mode in enumerate(system.modes.tolist()):
+            approach = -gap_rate(system, c) if mode == FREE and self.open.apart[c] else 0.0
+            if approach > 0.0 and system.contact_real[c, DOMAIN] >= 0.0:
                 way = float(system.gaps[c, 0] + self.depths[c] + accuracy[c])
                 left = min(left, max(way, _LEAST_WAY * float(accuracy[c])) / approach)
         for g, limit in enumerate(system.limits):

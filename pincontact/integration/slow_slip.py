@@ -10,6 +10,7 @@ component across it (collocation).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import array_entry
+from ..jit import BOOLEAN, INTEGER, REAL
 from ..layout import (
     ACROSS_X,
     CONTACT_REALS,
@@ -94,10 +97,13 @@ class SlowSlip:
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
         coefficients = np.zeros((len(self.contacts), POLYNOMIAL_SIZE))
+        tolerance *= _ACCEPTED
+        grown = self._grown(tolerance)
         while tries > 0 and span >= shortest:
             for c in self.contacts:
-                system.contact_real[c, [START, SPAN]] = self.t, span
-            part = self._collocate(span, _ACCEPTED * tolerance, coefficients)
+                numbers = system.contact_real[c]
+                numbers[START], numbers[SPAN] = self.t, span
+            part = self._collocate(span, tolerance, grown, coefficients)
             if part < 1.0:
                 tries -= 1
             else:
@@ -109,7 +115,7 @@ class SlowSlip:
             coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
         return None
 
-    def _collocate(self, span: float, tolerance: float, coefficients: np.ndarray) -> float:
+    def _collocate(self, span: float, tolerance: float, grown: np.ndarray, coefficients: np.ndarray) -> float:
         """Broyden's iteration on the polynomials' coefficients, from those given, which become the best ones; the part
         of the span that is to be tried next, 1 where v_c ends up along the direction everywhere."""
         found = self._across(span, coefficients)
@@ -117,17 +123,17 @@ class SlowSlip:
         if found is None or not self.rk.error < 1.0:
             return SHORTER if found is None else self._within_error()
         start = coefficients.copy()
-        residual = found[0][:, :POLYNOMIAL_SIZE].ravel()
         jacobian: np.ndarray | None = None
-        largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
-            aligned = self._aligned(*found, tolerance)
-            if aligned or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
+            aligned = is_aligned(*found, grown, tolerance, 1.0, len(_NODES) + len(_CHECKS))
+            if aligned or is_aligned(*found, grown, tolerance, _CONVERGED, len(_NODES)):
                 break
             if jacobian is None:
                 if self._pulls is None:
                     return 0.0
                 jacobian = self._jacobian(span * self._pulls, found[1][:, :POLYNOMIAL_SIZE])
+                residual = found[0][:, :POLYNOMIAL_SIZE].ravel()
+                largest = _DIVERGED * float(np.abs(residual).max())
             try:
                 step = -np.linalg.solve(jacobian, residual)
             except np.linalg.LinAlgError:
@@ -146,7 +152,7 @@ class SlowSlip:
             turned = float(np.abs(coefficients).max())
             coefficients[:] = start
             return max(_SMALLEST_PART, SHORTER / max(turned, 1.0))
-        part = self._until_end(found[1], tolerance)
+        part = self._until_end(found[1], tolerance, grown)
         if part < 1.0:
             return part
         # the last trial step has left the state at the end of the span in new_state
@@ -157,21 +163,17 @@ class SlowSlip:
         order = float(self.rk.system.scalars["error_order"])
         return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
 
-    def _is_there(self, tolerance: float) -> np.ndarray:
-        """(contacts,) whether slips are there already, and faster than the tolerance."""
-        speeds = self.rk.system.contact_real[self.contacts, START_SPEED]
-        there: np.ndarray = (np.array([*self.powers.values()]) == 0) & (speeds > tolerance)
-        return there
+    def _grown(self, tolerance: float) -> np.ndarray:
+        """(contacts,) whether slips grow from rest, or from no more than the tolerance."""
+        speeds = self.rk.system.contact_real[self.contacts, START_SPEED].tolist()
+        return np.array([power > 0 or not speed > tolerance for power, speed in zip(self.powers.values(), speeds)])
 
-    def _until_end(self, along: np.ndarray, tolerance: float) -> float:
+    def _until_end(self, along: np.ndarray, tolerance: float, grown: np.ndarray) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
         faster than the tolerance, the others have to grow. 1 where that is all of it."""
-        part = 1.0
-        for c, there, speeds in zip(self.contacts, self._is_there(tolerance), along):
-            if not there:
-                part = part if speeds.min() > 0.0 else min(part, SHORTER)
-                continue
-            left = np.array([self.rk.system.contact_real[c, START_SPEED], *speeds]) - tolerance
+        part = 1.0 if along[grown].min(initial=math.inf) > 0.0 else SHORTER
+        for m in np.flatnonzero(~grown).tolist():
+            left = np.array([self.rk.system.contact_real[self.contacts[m], START_SPEED], *along[m]]) - tolerance
             before = 0
             for after in _IN_ORDER:
                 if left[after] <= 0.0:
@@ -181,18 +183,6 @@ class SlowSlip:
                     break
                 before = after
         return part
-
-    def _aligned(
-        self, across: np.ndarray, along: np.ndarray, tolerance: float, part: float = 1.0, count: int | None = None
-    ) -> bool:
-        """Whether v_c is across the directions by no more than a part of the tolerance, or, where it has grown from
-        rest, of its own size: it goes on in the direction that it shows. count: of shares, where not at all."""
-        across, along = across[:, :count], along[:, :count]
-        allowed = np.full(len(self.powers), tolerance)
-        grown = ~self._is_there(tolerance)
-        slowest = np.abs(along).min(axis=1)
-        allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
-        return bool((np.abs(across).max(axis=1) <= part * allowed).all())
 
     @cached_property
     def _pulls(self) -> np.ndarray | None:
@@ -237,14 +227,33 @@ class SlowSlip:
         """(contacts, shares) v_c across and along the prescribed directions at the nodes and then between them, divided
         by the shares' powers."""
         system, contacts = self.rk.system, np.array(self.contacts)
-        columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
-        system.contact_real[contacts, columns] = coefficients
-        system.across[0] = shares = _SHARES[1:]
+        for c, numbers in zip(self.contacts, coefficients):
+            system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = numbers
+        system.across[0] = _SHARES[1:]
         if system.run(ACROSS_SLIP, self.t, span) > EVENT:
             return None
-        grown = shares ** np.array([*self.powers.values()])[:, None]
-        across, along = (system.across[first + contacts] / grown for first in (1, 1 + system.items))
+        across, along = (system.across[first + contacts] / self._growth for first in (1, 1 + system.items))
         return across, along
+
+    @cached_property
+    def _growth(self) -> np.ndarray:
+        """(contacts, shares) of the largest v_c, as slips grow with their powers of the time."""
+        growth: np.ndarray = _SHARES[1:] ** np.array([*self.powers.values()])[:, None]
+        return growth
+
+
+@array_entry(REAL[:, ::1], REAL[:, ::1], BOOLEAN[::1], REAL, REAL, INTEGER)
+def is_aligned(across, along, grown, tolerance, within, count):
+    """Whether v_c (contacts, shares) is across the directions by no more than `within` of the tolerance, or, where it
+    has grown from rest, of its own size: it goes on in the direction that it shows. count: of shares to look at."""
+    for m in range(across.shape[0]):
+        allowed = tolerance
+        for k in range(count if grown[m] else 0):
+            allowed = min(allowed, _ALIGNED * abs(along[m, k]))
+        for k in range(count):
+            if not abs(across[m, k]) <= within * allowed:
+                return False
+    return True
 
 
 def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) -> np.ndarray:

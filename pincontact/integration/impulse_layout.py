@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..layout import CONTACT_INTS, SLIPPING
+from ..layout import CONTACT_INTS, MOTION_SIZE, SLIPPING
 from ..workspace import INTEGERS, REALS, Layout, Workspace, record
 from .momentum_transport import INERTIA_SIZE
 
@@ -17,15 +17,16 @@ from .momentum_transport import INERTIA_SIZE
 # redundant forces leaves loads open, see `impulse_steps._leaves_choice`. Of a trial step: passes over its midpoint
 # before the present one; has_trend: what the midpoint's velocity follows from, trend_before: the same in the first
 # pass; thorough: whether its cone problems are solved with all means; changed: whether anything discrete is another
-# since the last step. Of a run: steps done, the last one, and the limit; watched: whether every step is looked at
-# before it is accepted; turns: whether anything resists turning; row_count rows that steps write, rows_done so far, a
-# row every row_steps steps, targeted: whether each has a target of its own. Of the solver: problems solved in compiled
-# code by the task cone_task, and steps that had a solution in rigid geometry only. actuators: how many there are.
+# since the last step; jumped: the contact whose bodies a motion has moved by a jump. Of a run: steps done, the last
+# one, and the limit; watched: whether every step is looked at before it is accepted; turns: whether anything resists
+# turning; row_count rows that steps write, rows_done so far, a row every row_steps steps, targeted: whether each has a
+# target of its own. Of the solver: problems solved in compiled code by the task cone_task, and steps that had a
+# solution in rigid geometry only. actuators: how many there are.
 COUNTS = record(
     INTEGERS,
     *("joints", "units", "equations", "touched", "reviews", "rigid", "coupled", "holding", "choosing", "open_loads"),
     "sharings",
-    *("passes", "has_trend", "trend_before", "thorough", "changed"),
+    *("passes", "has_trend", "trend_before", "thorough", "changed", "jumped"),
     *("steps", "last", "step_limit", "watched", "turns", "row_count", "rows_done", "row_steps", "targeted"),
     *("solved", "cone_task", "rigid_steps", "actuators"),
 )
@@ -112,6 +113,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
+    # where users' functions have their contours then, see `impulse_drives`
+    "start_drives": (REALS, "sides", MOTION_SIZE),
     # what resisted motions do at the step's start, and after the trial step, see SLIP; 0 where there are none
     "start_motion": (INTEGERS, "contacts", 3),
     "motion": (INTEGERS, "contacts", 3),
@@ -215,6 +218,7 @@ def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks
         "nv": max(nv, 1),
         "state": nq + nv + 4 * nc,
         "contacts": max(nc, 1),
+        "sides": max(2 * nc, 1),
         "limits": max(ng, 1),
         "joints": max(nj, 1),
         "blocks": max(nblocks, 1),

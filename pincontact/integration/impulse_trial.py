@@ -41,6 +41,7 @@ from ..layout import (
 from ..linalg import inner
 from ..workspace import square
 from .accuracy import APART_AT_END
+from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
     APART,
@@ -64,7 +65,7 @@ from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
-from .results import CLOSED_APART, CONTOUR_ENDS
+from .results import CLOSED_APART, CONTOUR_ENDS, MOTION_JUMPS
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
@@ -490,5 +491,9 @@ def trial_step(system, step, t, h, found):
     if status != OK:
         return status
     status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)
+    if system.callback.asked_for_places != 0 and status in (OK, CLOSED_APART):
+        counts.jumped = driven_apart(system, step, h)
+        if counts.jumped >= 0:
+            return MOTION_JUMPS
     find_joint_states(system, step)
     return status if status != OK else _review_end(system, step, h)

@@ -172,6 +172,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "cone_velocities": (REALS, "rows"),
     "cone_modes": (INTEGERS, "units"),
     "first_forces": (REALS, "rows"),
+    # change of velocity by all impulses before what slid is held, whitened
+    "slid_change": (REALS, "nv"),
     # by number of units the cone solver's table, 0 where there is none yet
     "cone_tables": (INTEGERS, "sizes"),
     # equations u = 0: contact and row, an orthonormal basis of their whitened rows, the rows in that basis; where they

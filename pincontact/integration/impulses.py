@@ -333,7 +333,7 @@ def advance(system, step):
     sizes, numbers, h = system.sizes, step.numbers, step.numbers.h
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
     equation_impulses(system, step)
-    verdict = review(step, nv, h, system.work)
+    verdict = review(system, step)
     if verdict != DONE:
         return verdict
     distribute(system, step)

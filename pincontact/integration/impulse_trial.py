@@ -313,10 +313,14 @@ def _impulses(system, step, found):
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts.holding == UNASKED and _lets_go(system, step, n):
-            # whatever is not redundant cannot be chosen to hold, but for loads that friction itself makes
+            # forces that are not redundant are what they are, but for loads that friction itself makes, and friction
+            # that may hold in other modes of what slides elsewhere
             chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
             for u in range(n):
-                chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
+                unit = step.units[u]
+                if unit.held != 0:
+                    rested = counts.touched == 0 and step.start_mode[unit.index] == STICK
+                    chosen = chosen or unit.kind == ON_LOADED or rested
             counts.holding = WANTED if chosen else LOOKED_FOR
             if counts.holding == WANTED:
                 return CONE_LEFT

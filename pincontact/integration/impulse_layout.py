@@ -198,7 +198,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "impact_state": (REALS, "state"),
     "forces": (REALS, "contacts", 3),
     "torques": (REALS, "contacts", 3),
-    # the user's torques, while an output has others
+    # the torques of the last pass over the midpoint, and the user's, while an output has others
+    "asked_before": (REALS, "nv"),
     "set_aside": (REALS, "nv"),
 }
 # Arrays of a rollout, made for it: torques and targets of the steps that end with a row, and the state then.

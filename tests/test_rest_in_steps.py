@@ -86,22 +86,27 @@ def test_a_foot_that_may_stay_at_rest_does(dt):
     assert off < 0.1 * dt
 
 
-@pytest.mark.parametrize("dt", [4e-4, 1e-4])
-def test_slip_that_begins_and_ends_by_turns_does_not_make_steps_too_long(dt):
-    """A block on four feet of different laws on a floor that shakes so fast that a step takes a quarter of its period:
-    whether it slips or sticks changes with the velocity at the middle of the step, to which nothing else is
-    sensitive."""
+@pytest.mark.parametrize("seed", [0, 14, 36, 45])
+def test_slip_that_begins_and_ends_by_turns_does_not_make_steps_too_long(seed):
+    """A block on four feet of different laws on a floor that shakes at up to a third of a radian of its phase in a
+    step: whether it slips or sticks changes with the velocity at the middle of the step, to which nothing else is
+    sensitive. Of 60 such scenes 17 were refused."""
+    rng = np.random.default_rng([19, seed])
     scene = pc.Scene(free_body(2.945, np.array([0.026339, 0.013073, 0.021421])))
-    place = pin.SE3(pin.exp3(np.array([-0.01526, 0.01107, 0.003017])), np.zeros(3))
-    axis = np.array([0.0, 0.0, 1.0])
-    shaken = pc.HarmonicMotion((-1.7e-5, -8e-6, 8e-6), 97.159, 3.983205, axis, 4.53e-5)
-    scene.add_contour("floor", pc.Plane(), placement=place * shaken.placement(0.0).inverse(), motion=shaken)
-    height, reach = 0.089626, (0.11116, 0.156506, 0.192558, 0.185837)
+    frequency = rng.uniform(60.0, 140.0)
+    reach = rng.uniform(0.5, 2.0) * 9.81 / (2.0 * math.pi * frequency) ** 2
+    along = rng.normal(size=3)
+    along *= reach / np.linalg.norm(along)
+    shaken = pc.HarmonicMotion(along, frequency, rng.uniform(0, 6), (0.0, 0.0, 1.0), 2.0 * reach)
+    scene.add_contour("floor", pc.Plane(), placement=shaken.placement(0.0).inverse(), motion=shaken)
+    height, radii = 0.089626, (0.11116, 0.156506, 0.192558, 0.185837)
     laws = pc.Coulomb(0.88), pc.Coulomb(0.583), pc.Coulomb(0.579, mu_static=0.851), pc.Coulomb(0.362, viscous=1.256)
-    for i, (r, law) in enumerate(zip(reach, laws)):
+    for i, (r, law) in enumerate(zip(radii, laws)):
         foot = np.array([r * math.cos(0.5 * math.pi * i), r * math.sin(0.5 * math.pi * i), -height])
         scene.add_contour(f"foot {i}", pc.Point(), "body", pin.SE3(np.eye(3), foot))
         scene.add_contact(f"foot {i}", f"foot {i}", "floor", law, side=1)
-    q = [*(height * place.rotation[:, 2]), *pin.Quaternion(place.rotation).coeffs()]
-    _, off = compared(scene, scene.initial_state(q, np.zeros(6), max_gap=0.01), 0.02, dt)
-    assert off < 1e-5
+    state = scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0], np.zeros(6), max_gap=0.01)
+    runs = [pc.simulate(scene, state, 0.02, method="Moreau", dt=dt, t_eval=[0.0, 0.02]) for dt in (4e-4, 5e-5)]
+    assert [run.status for run in runs] == [0, 0], runs[0].message
+    # the floor's way, up to 6e-5 m, is followed to first order
+    np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], rtol=0.0, atol=3e-5)

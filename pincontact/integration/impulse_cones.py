@@ -164,7 +164,23 @@ class ImpulseSolver:
             modes = np.where(sticks, STICK, before[0])
             if self._holds(problem, modes, before, held):
                 return
-        solver.warm_start(*before)
+        if not self._goes_on(problem, before, rests | opened):
+            solver.warm_start(*before)
+
+    def _goes_on(self, problem: _Problem, before: Solution, lets_go: np.ndarray) -> bool:
+        """Whether units (n,) that this solution lets go, and that were at rest at the step's start, stay so in another
+        one: that in which they cannot slip, if friction holds them there."""
+        units, modes, solver = problem.units, before[0].copy(), self.solver
+        still = lets_go & (units["kind"] == ON_CONTACT)
+        still[still] = self._arrays.start_mode[units["index"][still]] == STICKING
+        if self._counts["touched"] or self._counts["coupled"] == TOGETHER or not still.any():
+            return False
+        modes[still] = STICK
+        solver.warm_start(modes, *before[1:])
+        if not solver.solve(*problem.cones[:2], np.where(still, np.inf, problem.friction)):
+            return False
+        residual = self._solve_near(problem, *solver.kept())
+        return residual <= solver.tolerance and bool((solver.modes[still] == STICK).all())
 
     def _stay(self, problem: _Problem) -> bool:
         """Let all units stay at rest, where all were and the searches have found nothing."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..layout import CONTACT_INTS, SLIPPING
+from ..layout import CONTACT_INTS, MOTION_SIZE, SLIPPING
 from ..workspace import INTEGERS, REALS, Layout, Scratch, Workspace, record
 from .momentum_transport import INERTIA_SIZE
 
@@ -17,15 +17,16 @@ from .momentum_transport import INERTIA_SIZE
 # redundant forces leaves loads open, see `impulse_steps._leaves_choice`. Of a trial step: passes over its midpoint
 # before the present one; has_trend: what the midpoint's velocity follows from, trend_before: the same in the first
 # pass; thorough: whether its cone problems are solved with all means; changed: whether anything discrete is another
-# since the last step. Of a run: steps done, the last one, and the limit; watched: whether every step is looked at
-# before it is accepted; turns: whether anything resists turning; row_count rows that steps write, rows_done so far, a
-# row every row_steps steps, targeted: whether each has a target of its own. Of the solver: problems solved in compiled
-# code by the task cone_task, and steps that had a solution in rigid geometry only. actuators: how many there are.
+# since the last step; jumped: the contact whose bodies a motion has moved by a jump. Of a run: steps done, the last
+# one, and the limit; watched: whether every step is looked at before it is accepted; turns: whether anything resists
+# turning; row_count rows that steps write, rows_done so far, a row every row_steps steps, targeted: whether each has a
+# target of its own. Of the solver: problems solved in compiled code by the task cone_task, and steps that had a
+# solution in rigid geometry only. actuators: how many there are.
 COUNTS = record(
     INTEGERS,
     *("joints", "units", "equations", "touched", "reviews", "rigid", "coupled", "holding", "choosing", "open_loads"),
     "sharings",
-    *("passes", "has_trend", "trend_before", "thorough", "changed"),
+    *("passes", "has_trend", "trend_before", "thorough", "changed", "jumped"),
     *("steps", "last", "step_limit", "watched", "turns", "row_count", "rows_done", "row_steps", "targeted"),
     *("solved", "cone_task", "rigid_steps", "actuators"),
 )
@@ -112,6 +113,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
+    # where users' functions have their contours then, see `impulse_drives`
+    "start_drives": (REALS, "sides", MOTION_SIZE),
     # what resisted motions do at the step's start, and after the trial step, see SLIP; 0 where there are none
     "start_motion": (INTEGERS, "contacts", 3),
     "motion": (INTEGERS, "contacts", 3),
@@ -169,6 +172,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "cone_velocities": (REALS, "rows"),
     "cone_modes": (INTEGERS, "units"),
     "first_forces": (REALS, "rows"),
+    # change of velocity by all impulses before what slid is held, whitened
+    "slid_change": (REALS, "nv"),
     # by number of units the cone solver's table, 0 where there is none yet
     "cone_tables": (INTEGERS, "sizes"),
     # equations u = 0: contact and row, an orthonormal basis of their whitened rows, the rows in that basis; where they
@@ -193,7 +198,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "impact_state": (REALS, "state"),
     "forces": (REALS, "contacts", 3),
     "torques": (REALS, "contacts", 3),
-    # the user's torques, while an output has others
+    # the torques of the last pass over the midpoint, and the user's, while an output has others
+    "asked_before": (REALS, "nv"),
     "set_aside": (REALS, "nv"),
 }
 # Arrays of a rollout, made for it: torques and targets of the steps that end with a row, and the state then.
@@ -219,6 +225,7 @@ def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks
         "nv": max(nv, 1),
         "state": nq + nv + 4 * nc,
         "contacts": max(nc, 1),
+        "sides": max(2 * nc, 1),
         "limits": max(ng, 1),
         "joints": max(nj, 1),
         "blocks": max(nblocks, 1),

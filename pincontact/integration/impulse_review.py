@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import REALS, array_type
 from ..callback import separate_kernel
 from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
 from ..friction import cone
-from ..jit import INTEGER, REAL, STEPPING, kernel
-from ..layout import NO_FORCE
+from ..jit import INTEGER, STEPPING, kernel
+from ..layout import NO_FORCE, SYSTEM
+from ..linalg import inner
 from ..workspace import square
 from .impulse_equations import normal_load
 from .impulse_layout import APART, ON_LOADED, ON_TURN, STEP, TOGETHER
-from .impulse_works import impulse_work
+from .impulse_works import impulse_work, velocity_change
 
 # What `review` and `impulses.advance` return: the step is done, or the cone problem was changed and must be solved
 # again, or has to be assembled anew.
@@ -25,6 +25,8 @@ DONE, AGAIN, ANEW = 0, -1, -2
 _LOAD_CHANGE, _TURN_LOAD_CHANGE = 1e-12, 1e-10
 _PATIENCE = 12
 _REVIEW_LIMIT = 200
+# What comes to rest may take this part of the velocity in a step, by which a step may be off, too.
+_TAKEN = 0.06
 
 
 @kernel
@@ -65,6 +67,25 @@ def may_rest(step, u):
 
 
 @kernel
+def _has_jammed(system, step):
+    """Whether what slid and came to rest in this solution takes more from the velocity than forces could that hold it:
+    the slip is ended by what slides, and rest goes on under the smooth forces. The impulse of a jam, such as of a
+    crank near its dead centre, does not get smaller with the step, in which it would end the motion."""
+    rests = False
+    for u in range(step.counts.units):
+        rests = rests or (step.units[u].slid != 0 and step.units[u].at_rest != 0 and step.cone_modes[u] == cone.STICK)
+    if not rests:
+        return False
+    nv, slid, change, v = system.sizes.nv, step.slid_change, system.work, step.transported_v
+    velocity_change(step, nv, change)
+    explained, more, moving = inner(slid, slid, nv), 0.0, 0.0
+    for k in range(nv):
+        more += (change[k] - slid[k]) ** 2
+        moving += system.mass[k, k] * v[k] * v[k]
+    return math.sqrt(more) > math.sqrt(explained) + step.numbers.free_change + _TAKEN * math.sqrt(moving)
+
+
+@kernel
 def _update_load(step, u, delassus):
     """Let the problem take as given the normal impulse that its solution has for unit u; by which part of their sum
     that differs from what it took, zero for round-off."""
@@ -83,16 +104,17 @@ def _update_load(step, u, delassus):
     return change / both
 
 
-@separate_kernel(INTEGER, STEP.type, INTEGER, REAL, array_type(REALS, 1), when=STEPPING)
-def review(step, nv, h, scratch):
+@separate_kernel(INTEGER, SYSTEM.type, STEP.type, when=STEPPING)
+def review(system, step):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
-    holds it; and restitution is lowered where, together with friction, it would create energy. Before all this, loads
-    that the problem takes as given are a fixed point, which is iterated a few times, then found together with the
-    forces (see `friction.loads`): the last step's may let go what this one's hold. scratch: (nv,).
+    holds it without a jam; and restitution is lowered where, together with friction, it would create energy. Before all
+    this, loads that the problem takes as given are a fixed point, which is iterated a few times, then found together
+    with the forces (see `friction.loads`): the last step's may let go what this one's hold.
     """
+    nv, h, scratch = system.sizes.nv, step.numbers.h, system.work
     counts, n, units = step.counts, step.counts.units, step.units
     modes, friction = step.cone_modes, step.friction
     b, delassus = step.loads, square(step.delassus, 3 * n)
@@ -116,10 +138,13 @@ def review(step, nv, h, scratch):
     for u in range(n):
         if units[u].midpoint != 0:
             stops = stops or modes[u] == cone.STICK or _slips_back(step, u)
-    again = stops
+    again, jams, tried = stops, _has_jammed(system, step), False
     for u in range(n):
         unit = units[u]
         if unit.sticking_again > 0.0 and modes[u] == cone.SLIP and may_rest(step, u):
+            if not tried:
+                velocity_change(step, nv, step.slid_change)
+            tried = True
             friction[u], unit.sticking_again = unit.sticking_again, 0.0
             unit.at_rest = 1
             again = True
@@ -129,7 +154,7 @@ def review(step, nv, h, scratch):
             b[3 * u] -= step.unit_start[u, 0]
             b[3 * u + 1] -= step.unit_start[u, 1]
             unit.midpoint = 0
-        if unit.at_rest != 0 and modes[u] == cone.SLIP:
+        if unit.at_rest != 0 and (modes[u] == cone.SLIP or (jams and unit.slid != 0)):
             friction[u] = unit.sliding
             unit.at_rest = 0
             again = True

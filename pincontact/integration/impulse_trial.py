@@ -38,9 +38,10 @@ from ..layout import (
     TOO_LONG,
     UNILATERAL,
 )
-from ..linalg import inner
+from ..linalg import inner, whiten
 from ..workspace import square
 from .accuracy import APART_AT_END
+from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
     APART,
@@ -64,7 +65,7 @@ from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
-from .results import CLOSED_APART, CONTOUR_ENDS
+from .results import CLOSED_APART, CONTOUR_ENDS, MOTION_JUMPS
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
@@ -312,10 +313,14 @@ def _impulses(system, step, found):
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts.holding == UNASKED and _lets_go(system, step, n):
-            # whatever is not redundant cannot be chosen to hold, but for loads that friction itself makes
+            # forces that are not redundant are what they are, but for loads that friction itself makes, and friction
+            # that may hold in other modes of what slides elsewhere
             chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
             for u in range(n):
-                chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
+                unit = step.units[u]
+                if unit.held != 0:
+                    rested = counts.touched == 0 and step.start_mode[unit.index] == STICK
+                    chosen = chosen or unit.kind == ON_LOADED or rested
             counts.holding = WANTED if chosen else LOOKED_FOR
             if counts.holding == WANTED:
                 return CONE_LEFT
@@ -376,7 +381,9 @@ def _pass(system, step, t, found):
     counts, numbers = step.counts, step.numbers
     if found == FRESH:
         predict_midpoint(system, step)
-        middle = t + numbers.ahead
+        middle, tau, asked_before = t + numbers.ahead, system.tau, step.asked_before
+        for k in range(system.sizes.nv):
+            asked_before[k] = tau[k]
         if not ask(system, step, middle):
             return NOT_FINITE
         # but for impacts the passes of a trial step differ in the midpoint's velocity only
@@ -444,6 +451,21 @@ def find_joint_states(system, step):
             step.joint_state[g] = slides if abs(speed) > slowest else JOINT_STICKS
 
 
+@kernel
+def _puts_off(system, step):
+    """By which part of the velocity the step's end is off, since the velocity at its midpoint is: as bodies turn in
+    between, or by the torques of a control, which the last two passes have told. Slip that begins and ends by turns
+    from one pass to the next makes that velocity uncertain, too, where nothing comes of it."""
+    nv, h, v, change = system.sizes.nv, step.numbers.h, step.mean, system.work
+    turned, moving = 0.0, step.numbers.free_change**2 + (OPENING / h) ** 2
+    for k in range(nv):
+        turned = max(turned, h * max(abs(v[k]), abs(system.v[k])))
+        moving += system.mass[k, k] * v[k] * v[k]
+        change[k] = h * (system.tau[k] - step.asked_before[k])
+    whiten(system.factor, system.parents, nv, change, change)
+    return min(turned, 1.0) * step.numbers.miss + math.sqrt(inner(change, change, nv) / moving)
+
+
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
 def trial_step(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
@@ -477,7 +499,7 @@ def trial_step(system, step, t, h, found):
         # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which
         # stays stable where the velocity foretold from the last step does not.
         if before > _CORRECTIONS:
-            if numbers.miss > _LOST:
+            if numbers.miss > _LOST and _puts_off(system, step) > _LOST:
                 status = TOO_LONG
             break
         if counts.touched != 0 or not numbers.miss > _FAR:
@@ -490,5 +512,9 @@ def trial_step(system, step, t, h, found):
     if status != OK:
         return status
     status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)
+    if system.callback.asked_for_places != 0 and status in (OK, CLOSED_APART):
+        counts.jumped = driven_apart(system, step, h)
+        if counts.jumped >= 0:
+            return MOTION_JUMPS
     find_joint_states(system, step)
     return status if status != OK else _review_end(system, step, h)

@@ -67,6 +67,7 @@ from ..linalg import inner, unwhiten
 from ..workspace import flat
 from .accuracy import APART_AT_END
 from .actuators import find_actuation
+from .impulse_drives import note_drives
 from .impulse_equations import equation_impulses
 from .impulse_layout import (
     ACCELERATION,
@@ -332,7 +333,7 @@ def advance(system, step):
     sizes, numbers, h = system.sizes, step.numbers, step.numbers.h
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
     equation_impulses(system, step)
-    verdict = review(step, nv, h, system.work)
+    verdict = review(system, step)
     if verdict != DONE:
         return verdict
     distribute(system, step)
@@ -426,6 +427,8 @@ def commit(system, step, stepped):
         start_v[k] = stage[nq + k]
     for g in range(system.joint_count[0]):
         step.start_end[g], step.start_joint[g] = system.joint_int[g, JOINT_END], step.joint_state[g]
+    if system.callback.asked_for_places != 0:
+        note_drives(system, step)
     changed = stepped == 0
     for c in range(sizes.nc):
         if commit_contact(system, step, c, stepped):

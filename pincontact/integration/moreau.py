@@ -38,7 +38,16 @@ from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, T
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED, WITH_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
 from .reports import least_conditioned
-from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FLIES_THROUGH, TOUCHES_TWICE, Stop
+from .results import (
+    CLOSED_APART,
+    CONTOUR_ENDS,
+    CONTRADICTION,
+    FAILURES,
+    FLIES_THROUGH,
+    MOTION_JUMPS,
+    TOUCHES_TWICE,
+    Stop,
+)
 from .run_system import RunSystem
 from .steps import run_task
 
@@ -401,6 +410,8 @@ class MoreauStep:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
         elif status in (FLIES_THROUGH, TOUCHES_TWICE):
             where = f"contact {system.contacts[self._open.where].name!r}: "
+        elif status == MOTION_JUMPS:
+            where = f"the bodies of contact {system.contacts[self._counts['jumped']].name!r} are moved "
         elif status == CLOSED_APART:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))

@@ -64,7 +64,7 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     lengths, resolved = system.gap_sizes
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy
-    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.zeros(system.items)
+    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.full(system.items, math.inf)
 
 
 def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
@@ -74,7 +74,7 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
     low hops that do not get lower are resolved less and less far.
     """
     if not low:
-        system.lowest_hops[i] = system.finest_hops[i]
+        system.lowest_hops[:], system.hop_speeds[:] = system.finest_hops, math.inf
     elif speed >= system.hop_speeds[i]:
         system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
     system.hop_speeds[i] = speed

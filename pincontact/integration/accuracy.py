@@ -38,6 +38,9 @@ REST = 1e-9
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 # That is so many times more, speeds twice as high, where hops lower than that accuracy do not get lower.
 _COARSER = 4.0
+# What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
+# motions keep their symmetries up to round-off, whatever their error.
+_AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
 
@@ -83,10 +86,19 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
 def gap_resolution(system: RunSystem) -> np.ndarray:
     """(items,) how low hops are that are none, and how far open gaps may be below zero, in m or rad.
 
-    Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
-    compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`.
+    Gaps are computed from the configuration to round-off, however large its error is.
     """
-    return np.maximum(system.lowest_hops, _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()])))
+    return np.maximum(system.lowest_hops, _round_off(system))
+
+
+def gaps_at_once(system: RunSystem) -> np.ndarray:
+    """(items,) how large the gaps are, in m or rad, of what touches in the same instant as others."""
+    least = np.maximum(_AT_ONCE * system.gap_accuracy, _AT_ONCE_ROUND_OFF * _round_off(system))
+    return np.maximum(least, gap_resolution(system))
+
+
+def _round_off(system: RunSystem) -> float:
+    return _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()]))
 
 
 def rest_speed(system: System) -> float:

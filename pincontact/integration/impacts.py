@@ -10,6 +10,7 @@ import pinocchio as pin
 from ..dynamics.contact_modes import held_up_by_friction
 from ..dynamics.directions import slip_direction
 from ..dynamics.energy import REST_SPEED
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import associated
 from ..dynamics.impact import apply_impact, coefficient
 from ..dynamics.modes import rest_mode
@@ -372,14 +373,19 @@ class Impacts:
         """
         system, changes, joints = self.system, self.changes, self.joints
         modes = system.contact_int[:, MODE]
-        for _ in range(system.items + 1):
+        # what would not stay at rest: it goes on from there, later, at a speed of its own
+        lasting: set[int] = set()
+        for _ in range(2 * system.items + 1):
             if self.rk.evaluate(t) > EVENT:
                 return
+            before = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
+            slips = [c for c in slips if c not in lasting]
             left = [g for g in ends if joints.is_free(g)]
             hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
+            stops = [g for g in stops if system.nc + g not in lasting]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
             if not (slips or stops or hops or touches):
                 return
@@ -395,6 +401,13 @@ class Impacts:
             self._brake(t)
             if not self._project(t):
                 changes.set_from_velocities(after_impact=True)
+            elif self.rk.evaluate(t) <= EVENT:
+                ended = [*slips, *(system.nc + g for g in stops)]
+                beyond = [i for i in ended if min(system.event_functions[i, FORCE_EVENTS]) < 0.0]
+                if beyond:
+                    lasting.update(beyond)
+                    system.contact_int[:], system.joint_int[:] = before[:2]
+                    self.rk.load(before[2])
 
     def _project(self, t: float) -> bool:
         """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been

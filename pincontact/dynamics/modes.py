@@ -90,7 +90,6 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             return Decision(status)
         # forces that leave constraints unmet are none
         in_vain = self._held_in_vain()
-        sticking, held = integers.copy(), system.joint_int.copy()
         passing = {} if in_vain else self._let_pass(t, undecided, evaluate)
         if passing:
             undecided = [c for c in undecided if c not in passing]
@@ -104,25 +103,15 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             status = self._let_joints_go(t, evaluate)
             if status <= EVENT:
                 return Decision(status, passing)
-        decision = self._decide(t, beyond, evaluate, passing)
-        if decision.status == NO_FORCE and passing:
-            # nothing passes: of constraints that depend on each other up to round-off, friction lets others give way
-            integers[:], system.joint_int[:] = sticking, held
-            evaluate(t)
-            decision = self._decide(t, beyond, evaluate, {})
-        decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
-        return decision
-
-    def _decide(self, t: float, beyond: int | None, evaluate, passing: dict[int, float]) -> Decision:
-        """The solution of the contact problem beside what slips on from rest."""
-        system = self.system
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[:, MU_STATIC].copy()
         exceeded = system.event_functions[:, FRICTION_EVENT] < 0.0
         if beyond is not None:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
-        return self._solve(t, evaluate, passing)
+        decision = self._solve(t, evaluate, passing)
+        decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
+        return decision
 
     def _let_joints_go(self, t: float, evaluate) -> int:
         """Let held joint coordinates go, one after the other, whose forces exceed their bounds; the status, if no

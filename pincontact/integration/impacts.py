@@ -418,7 +418,19 @@ class Impacts:
         for c in system.closed():
             if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
                 modes[c] = FRICTIONLESS
-        self.changes.stop_slips(t, may_stop(system))
+        sliding = may_stop(system)
+        if sliding:
+            self.changes.stop_slips(t, sliding)
+            return False
+        # the slip that an impact has left jams at once
+        self.changes.evaluate_rows(t)
+        ends = list(self.joints.held_at_ends())
+        impact = apply_impact(system, self.changes.modes.solver, system.closed(), ends, {}, jammed=True)
+        if impact is None:
+            raise self.reports.failure(t, NO_FORCE)
+        self.rk.keep_velocity()
+        self.changes.count_works(impact.contacts, impact.drives, impact.joints)
+        self.changes.evaluate_rows(t)
         return False
 
     def _stops_soon(self, c: int) -> bool:

@@ -72,7 +72,9 @@ def test_as_much_of_the_restitution_is_kept_as_creates_no_energy(most, monkeypat
 
 
 def test_without_impulses_there_is_no_impact(monkeypatch):
-    monkeypatch.setattr(impact, "_Problem", lambda *arguments: SimpleNamespace(solve=lambda solver, kept: None))
+    monkeypatch.setattr(
+        impact, "_Problem", lambda *arguments: SimpleNamespace(solve=lambda solver, kept: None, rebound=np.ones(3))
+    )
     system = SimpleNamespace(v=np.zeros(2))
     assert impact.apply_impact(system, None, [], [], {}) is None
     assert not system.v.any()

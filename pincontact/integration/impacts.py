@@ -119,7 +119,7 @@ class Impacts:
         return after
 
     def _is_due(self, c: int) -> bool:
-        """Whether open contact c touches now, as far as positions are known.
+        """Whether open contact c touches now, as far as instants are told apart.
 
         However gently ideal rolling comes in, all its slip ends then: that may come no earlier than leaves its way.
         """
@@ -188,8 +188,8 @@ class Impacts:
     # ---------------------------------------------------------------- what takes part, and what leaves
 
     def _close_near(self) -> list[int]:
-        """Let all take part in an impact that is as near as positions are known, whatever it does before: contacts,
-        which are returned, and ends of joints.
+        """Let all take part in an impact that is as near as symmetric motions leave it, whatever it does before:
+        contacts, which are returned, and ends of joints.
 
         What leaves by then may be thrown back at once. Left to an impact of its own, which throws the first one back,
         both would go to and fro, ever slower, between places that are the same as far as they are known. What rebounds

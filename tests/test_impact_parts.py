@@ -80,6 +80,21 @@ def test_without_impulses_there_is_no_impact(monkeypatch):
     assert not system.v.any()
 
 
+def test_a_rebound_that_is_left_no_way_is_none(monkeypatch):
+    """Dependent constraints have impulses for it at no part of the restitution but none."""
+    asked = []
+
+    def solve(solver, kept):
+        asked.append(kept)
+        return np.zeros(2) if kept == 0.0 else None
+
+    problem = SimpleNamespace(solve=solve, rebound=np.ones(3), work=lambda y: (-3.0, -1e-3, 10.0), driven=False)
+    monkeypatch.setattr(impact, "_Problem", lambda *arguments: problem)
+    monkeypatch.setattr(impact, "unwhiten", lambda system, y: y)
+    found = impact.apply_impact(SimpleNamespace(v=np.zeros(2)), None, [], [], {})
+    assert found.kept == 0.0 and asked == [1.0, 0.0]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_work_of_impulses(seed):
     """Of each impulse along its mean velocity; the size is the sum of what it is made of."""

@@ -301,13 +301,13 @@ class Transitions:
         for c in ended:
             self.reports.check_chatter(t, c)
         self.system.contact_int[list(ended), MODE] = STICK
-        if np.isinf(self.system.contact_real[list(ended), MU]).any():
-            # what is left of v_c is no start of a slip in another direction, in which it may take another force
-            if not self.rk.project(t, False):
-                # other slips that are as good as over leave no forces
-                others = may_stop(self.system)
-                self.changes.stop_slips(t, others)
-                ended = ended | dict.fromkeys(others, np.zeros(3))
+        ideal = np.isinf(self.system.contact_real[list(ended), MU]).any()
+        # what is left of v_c is no start of a slip in another direction, in which it may take another force
+        if ideal and not self.rk.project(t, False):
+            # other slips that are as good as over leave no forces
+            others = may_stop(self.system)
+            self.changes.stop_slips(t, others)
+            ended = ended | dict.fromkeys(others, np.zeros(3))
         return self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
 
     def end_jams(self, t: float) -> float | None:

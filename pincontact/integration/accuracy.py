@@ -77,7 +77,9 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
     low hops that do not get lower are resolved less and less far.
     """
     if not low:
-        system.lowest_hops[:], system.hop_speeds[:] = system.finest_hops, math.inf
+        # what strikes from high throws off what is at rest: hops of their own, unlike those of stops that rattle
+        begun = slice(0, system.nc) if i < system.nc else slice(i, i + 1)
+        system.lowest_hops[begun], system.hop_speeds[begun] = system.finest_hops[begun], math.inf
     elif speed >= system.hop_speeds[i]:
         system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
     system.hop_speeds[i] = speed

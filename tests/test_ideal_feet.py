@@ -41,8 +41,9 @@ def shaken_tripod(rng: np.random.Generator) -> tuple[pc.Scene, pc.State]:
 
 # Each has what the others have not: a hop left out beside ideal rolling that slides (24, 125), touches taken together
 # that end such a slip too early (6), slips that jam after an impact (69), ideal rolling that is let go as another
-# foot begins to slip (36, 75, 99, 132).
-@pytest.mark.parametrize("seed", [6, 24, 36, 69, 75, 99, 125, 132])
+# foot begins to slip (36, 75, 99, 132), rattles in each period of the floor, the later ones as fine as the first
+# (153), touches 1e-6 s apart (89).
+@pytest.mark.parametrize("seed", [6, 24, 36, 69, 75, 89, 99, 125, 132, 153])
 def test_default_tolerances_follow_tight_ones(seed):
     scene, state = shaken_tripod(np.random.default_rng(seed))
     run, tight = default_and_tight(scene, state, DURATION)

@@ -72,10 +72,27 @@ def test_as_much_of_the_restitution_is_kept_as_creates_no_energy(most, monkeypat
 
 
 def test_without_impulses_there_is_no_impact(monkeypatch):
-    monkeypatch.setattr(impact, "_Problem", lambda *arguments: SimpleNamespace(solve=lambda solver, kept: None))
+    monkeypatch.setattr(
+        impact, "_Problem", lambda *arguments: SimpleNamespace(solve=lambda solver, kept: None, rebound=np.ones(3))
+    )
     system = SimpleNamespace(v=np.zeros(2))
     assert impact.apply_impact(system, None, [], [], {}) is None
     assert not system.v.any()
+
+
+def test_a_rebound_that_is_left_no_way_is_none(monkeypatch):
+    """Dependent constraints have impulses for it at no part of the restitution but none."""
+    asked = []
+
+    def solve(solver, kept):
+        asked.append(kept)
+        return np.zeros(2) if kept == 0.0 else None
+
+    problem = SimpleNamespace(solve=solve, rebound=np.ones(3), work=lambda y: (-3.0, -1e-3, 10.0), driven=False)
+    monkeypatch.setattr(impact, "_Problem", lambda *arguments: problem)
+    monkeypatch.setattr(impact, "unwhiten", lambda system, y: y)
+    found = impact.apply_impact(SimpleNamespace(v=np.zeros(2)), None, [], [], {})
+    assert found.kept == 0.0 and asked == [1.0, 0.0]
 
 
 @pytest.mark.parametrize("seed", range(3))

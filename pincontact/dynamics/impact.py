@@ -86,7 +86,11 @@ def apply_impact(
     while True:
         y = problem.solve(solver, kept)
         if y is None:
-            return None
+            # constraints that depend on each other may leave a rebound no way: as in time stepping, there is none then
+            if kept == 0.0 or not problem.rebound.any():
+                return None
+            kept = high = 0.0
+            continue
         contacts, joints, size = problem.work(y)
         creates = contacts + joints > ENERGY_SLACK * size
         if kept == 1.0 and not creates:

@@ -125,7 +125,8 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         status = NO_FORCE
         for _ in range(2 * len(system.held())):
             if not (self._hold_one(released) or self._release_one(released)):
-                if self._settles(status, t, evaluate):
+                # what is let go and goes nowhere is held: its friction is not all that it can be for good
+                if self._all_go(released) and self._settles(status, t, evaluate):
                     return status
                 break
             status = evaluate(t)

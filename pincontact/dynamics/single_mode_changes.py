@@ -65,14 +65,21 @@ class SingleModeChanges(RedundantForces):
 
     def _hold_one(self, released: dict[int, tuple[int, int]]) -> bool:
         """Hold a joint coordinate again that was let go and would go back, if there is one."""
-        system = self.system
         for g, (end, sign) in released.items():
-            rate = sign * float(system.acceleration[system.joint_int[g, JOINT_V]])
-            if rate < -ROUND_OFF * float(np.abs(system.free_acceleration).max()):
+            if self._rate(g, sign) < -ROUND_OFF:
                 del released[g]
                 self.hold(g, end)
                 return True
         return False
+
+    def _all_go(self, released: dict[int, tuple[int, int]]) -> bool:
+        """Whether all joint coordinates that were let go begin to move."""
+        return all(self._rate(g, sign) > ROUND_OFF for g, (_, sign) in released.items())
+
+    def _rate(self, g: int, sign: int) -> float:
+        """Acceleration of joint coordinate g in the direction of `sign`, as a part of the largest free one."""
+        system = self.system
+        return sign * float(system.acceleration[system.joint_int[g, JOINT_V]] / np.abs(system.free_acceleration).max())
 
     def share(self, t: float, c: int, evaluate) -> bool:
         """Keep contact c, whose normal force would pull, closed without one, by a part of its viscous friction; False

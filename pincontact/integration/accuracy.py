@@ -38,6 +38,9 @@ REST = 1e-9
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 # That is so many times more, speeds twice as high, where hops lower than that accuracy do not get lower.
 _COARSER = 4.0
+# What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
+# motions keep their symmetries up to round-off, whatever their error.
+_AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
 
@@ -64,7 +67,7 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     lengths, resolved = sizes_of_gaps(system)
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy
-    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.zeros(system.items)
+    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.full(system.items, math.inf)
 
 
 def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
@@ -74,7 +77,9 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
     low hops that do not get lower are resolved less and less far.
     """
     if not low:
-        system.lowest_hops[i] = system.finest_hops[i]
+        # what strikes from high throws off what is at rest: hops of their own, unlike those of stops that rattle
+        begun = slice(0, system.nc) if i < system.nc else slice(i, i + 1)
+        system.lowest_hops[begun], system.hop_speeds[begun] = system.finest_hops[begun], math.inf
     elif speed >= system.hop_speeds[i]:
         system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
     system.hop_speeds[i] = speed
@@ -83,10 +88,19 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
 def gap_resolution(system: RunSystem) -> np.ndarray:
     """(items,) how low hops are that are none, and how far open gaps may be below zero, in m or rad.
 
-    Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
-    compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`.
+    Gaps are computed from the configuration to round-off, however large its error is.
     """
-    return np.maximum(system.lowest_hops, _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()])))
+    return np.maximum(system.lowest_hops, _round_off(system))
+
+
+def gaps_at_once(system: RunSystem) -> np.ndarray:
+    """(items,) how large the gaps are, in m or rad, of what touches in the same instant as others."""
+    least = np.maximum(_AT_ONCE * system.gap_accuracy, _AT_ONCE_ROUND_OFF * _round_off(system))
+    return np.maximum(least, gap_resolution(system))
+
+
+def _round_off(system: RunSystem) -> float:
+    return _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()]))
 
 
 def rest_speed(system: System) -> float:

@@ -10,6 +10,7 @@ import pinocchio as pin
 from ..dynamics.contact_modes import held_up_by_friction
 from ..dynamics.directions import slip_direction
 from ..dynamics.energy import REST_SPEED
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import associated
 from ..dynamics.impact import apply_impact, coefficient
 from ..dynamics.modes import rest_mode
@@ -118,7 +119,7 @@ class Impacts:
         return after
 
     def _is_due(self, c: int) -> bool:
-        """Whether open contact c touches now, as far as positions are known.
+        """Whether open contact c touches now, as far as instants are told apart.
 
         However gently ideal rolling comes in, all its slip ends then: that may come no earlier than leaves its way.
         """
@@ -187,8 +188,8 @@ class Impacts:
     # ---------------------------------------------------------------- what takes part, and what leaves
 
     def _close_near(self) -> list[int]:
-        """Let all take part in an impact that is as near as positions are known, whatever it does before: contacts,
-        which are returned, and ends of joints.
+        """Let all take part in an impact that is as near as symmetric motions leave it, whatever it does before:
+        contacts, which are returned, and ends of joints.
 
         What leaves by then may be thrown back at once. Left to an impact of its own, which throws the first one back,
         both would go to and fro, ever slower, between places that are the same as far as they are known. What rebounds
@@ -372,14 +373,19 @@ class Impacts:
         """
         system, changes, joints = self.system, self.changes, self.joints
         modes = system.contact_int[:, MODE]
-        for _ in range(system.items + 1):
+        # what would not stay at rest: it goes on from there, later, at a speed of its own
+        lasting: set[int] = set()
+        for _ in range(2 * system.items + 1):
             if self.rk.evaluate(t) > EVENT:
                 return
+            before = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
+            slips = [c for c in slips if c not in lasting]
             left = [g for g in ends if joints.is_free(g)]
             hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
+            stops = [g for g in stops if system.nc + g not in lasting]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
             if not (slips or stops or hops or touches):
                 return
@@ -395,6 +401,13 @@ class Impacts:
             self._brake(t)
             if not self._project(t):
                 changes.set_from_velocities(after_impact=True)
+            elif self.rk.evaluate(t) <= EVENT:
+                ended = [*slips, *(system.nc + g for g in stops)]
+                beyond = [i for i in ended if min(system.event_functions[i, FORCE_EVENTS]) < 0.0]
+                if beyond:
+                    lasting.update(beyond)
+                    system.contact_int[:], system.joint_int[:] = before[:2]
+                    self.rk.load(before[2])
 
     def _project(self, t: float) -> bool:
         """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been
@@ -405,7 +418,19 @@ class Impacts:
         for c in system.closed():
             if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
                 modes[c] = FRICTIONLESS
-        self.changes.stop_slips(t, may_stop(system))
+        sliding = may_stop(system)
+        if sliding:
+            self.changes.stop_slips(t, sliding)
+            return False
+        # the slip that an impact has left jams at once
+        self.changes.evaluate_rows(t)
+        ends = list(self.joints.held_at_ends())
+        impact = apply_impact(system, self.changes.modes.solver, system.closed(), ends, {}, jammed=True)
+        if impact is None:
+            raise self.reports.failure(t, NO_FORCE)
+        self.rk.keep_velocity()
+        self.changes.count_works(impact.contacts, impact.drives, impact.joints)
+        self.changes.evaluate_rows(t)
         return False
 
     def _stops_soon(self, c: int) -> bool:

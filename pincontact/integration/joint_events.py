@@ -9,7 +9,7 @@ import numpy as np
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
-from .accuracy import count_hop, gap_resolution, rest_speed
+from .accuracy import count_hop, gap_resolution, gaps_at_once, rest_speed
 from .reports import Reports
 from .run_system import RunSystem
 
@@ -87,13 +87,14 @@ class JointEvents:
         self._hold(g, end)
 
     def hold_near(self) -> None:
-        """Hold the free coordinates that come to an end, and are as near to it as positions are known.
+        """Hold the free coordinates that come to an end now as far as instants are told apart.
 
         What has left that end by less is held only where it is back: its hop has been followed to round-off.
         """
+        at_once = gaps_at_once(self.system)[self.system.nc :].tolist()
         for g in filter(self.is_free, range(self.system.ng)):
             for end in (-1, 1):
-                near = self.resolution(g) if self._at_end.get(g) == end else self.accuracy(g)
+                near = self.resolution(g) if self._at_end.get(g) == end else at_once[g]
                 if self._way(g, end) <= near:
                     self._hold(g, end)
                     break

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, UNILATERAL
-from .accuracy import gap_rate, gap_resolution
+from .accuracy import gap_rate, gap_resolution, gaps_at_once
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -56,9 +56,9 @@ class Penetration:
         return self.resolution(c) + float(self.depths[c])
 
     def touches(self, c: int) -> bool:
-        """Whether the gap of an open contact is zero within its error, between points inside both domains."""
+        """Whether an open contact touches now as far as instants are told apart, between points inside both domains."""
         system = self._rk.system
-        return bool(system.contact_real[c, DOMAIN] >= 0.0 and abs(system.gaps[c, 0]) <= self.accuracy(c))
+        return bool(system.contact_real[c, DOMAIN] >= 0.0 and abs(system.gaps[c, 0]) <= gaps_at_once(system)[c])
 
     def has_stayed_closed(self, c: int) -> bool:
         """Whether contact c has opened, and the gap is and was zero within its error since, the last trial step

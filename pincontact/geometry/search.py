@@ -64,11 +64,22 @@ class Candidate:
 
     @property
     def point(self) -> np.ndarray:
-        """The point (3,) on body 2."""
+        """(3,) array : point on body 2 in m, world frame."""
         return self.points[1]
 
     def is_at(self, other: Candidate, length: float) -> bool:
-        """Whether it is the same point as another one, as far as that is known for a contact of this length in m."""
+        """Whether it is the same as another one, to a millionth of the contact's length.
+
+        Parameters
+        ----------
+        other : Candidate
+        length : float
+            In m.
+
+        Returns
+        -------
+        bool
+        """
         near = abs(self.gap - other.gap) < SAME_PLACE * length
         return near and bool(np.linalg.norm(self.point - other.point) < SAME_PLACE * length)
 

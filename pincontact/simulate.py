@@ -147,8 +147,9 @@ class _Request:
             names = ("rtol", "atol", "max_step", "first_step", "fixed_step")
             unused = [name for name in names if getattr(self, name) != defaults[name].default]
             if unused:
-                text = f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt."
-                warnings.warn(text, stacklevel=4)
+                warnings.warn(
+                    f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt.", stacklevel=4
+                )
 
     def torque(self, system: System) -> Torque | None:
         """What asks the control for a system's torques."""

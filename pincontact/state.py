@@ -306,26 +306,15 @@ def find_state(
     contacts = list(scene.contacts.values())
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
-    candidates: dict[str, list[Candidate]] = {}
+    candidates = {contact.name: _candidates(scene, contact, q, v, t, contact.name in free) for contact in contacts}
     places: dict[int, Candidate] = {}
     untouched: dict[str, NoContactError] = {}
-    for c, contact in enumerate(contacts):
+    # closed ones first: open ones of the same contours are where these are not
+    for c, contact in sorted(enumerate(contacts), key=lambda each: each[1].name in free):
         is_free = contact.name in free
-        candidates[contact.name] = found = _candidates(scene, contact, q, v, t, is_free)
-        length = system.contact_real[c, LENGTH]
-        taken = [places[i] for i in of_same_contours(system, c) if i in places]
-        fresh = [one for one in found if not any(one.is_at(other, length) for other in taken)]
-        if taken:
-            # on the side where the others are
-            fresh = [one for one in fresh if one.side in (0, taken[0].side)]
         try:
-            if taken and found and not (fresh or is_free):
-                raise NoContactError(
-                    f"contact {contact.name!r}: other contacts of {contact.first.name!r} and {contact.second.name!r} "
-                    "are where these could touch; start it open (free=)",
-                    found[0].gap,
-                )
-            chosen = _choose(contact, fresh or found, is_free, max_gap)
+            left = _left(system, c, candidates[contact.name], places, is_free)
+            chosen = _choose(contact, left, is_free, max_gap)
         except NoContactError as error:
             untouched[contact.name] = error
             continue
@@ -341,6 +330,28 @@ def find_state(
         raise _together(untouched)
     correction = _correct(scene, system, q, v, t)
     return state_of(scene, system, t, correction, candidates)
+
+
+def _left(
+    system: System, c: int, found: list[Candidate], places: dict[int, Candidate], is_free: bool
+) -> list[Candidate]:
+    """Those of contact c's candidates at which no other contact of the same contours is, which are at these places; all
+    for an open contact that has none left."""
+    taken = [places[i] for i in of_same_contours(system, c) if i in places]
+    if not taken or not found:
+        return found
+    length = system.contact_real[c, LENGTH]
+    # on the side where the others are
+    sides = (one for one in found if one.side in (0, taken[0].side))
+    left = [one for one in sides if not any(one.is_at(other, length) for other in taken)]
+    if not (left or is_free):
+        contact = system.contacts[c]
+        raise NoContactError(
+            f"contact {contact.name!r}: other contacts of {contact.first.name!r} and {contact.second.name!r} are where "
+            "these could touch; start it open (free=)",
+            found[0].gap,
+        )
+    return left or found
 
 
 def _candidates(

@@ -126,6 +126,22 @@ def test_both_kinds_of_methods_settle_alike():
         assert abs(first[0] - first[1]) < 1e-5
 
 
+@pytest.mark.parametrize("free", [["c0"], ["c1"], ["c0", "c1"]], ids="-".join)
+@pytest.mark.parametrize("shape", SHAPES, ids=["ball", "ring"])
+def test_whatever_order_contours_are_named_in(shape, free):
+    """Two contacts of one pair, the second with its contours the other way round."""
+    height, _ = resting_place()
+    scene = pc.Scene(body(shape))
+    scene.add_contour("shape", shape, frame="body")
+    scene.add_contour("ground", waves())
+    for name, order in (("c0", ("shape", "ground")), ("c1", ("ground", "shape"))):
+        scene.add_contact(name, *order, friction=pc.Coulomb(0.6))
+    state = scene.initial_state(at(shape, 0.2, 0.25 if len(free) == 1 else 0.4), free=free)
+    run = pc.simulate(scene, state, 1.1)
+    assert run.status == 0, run.message
+    np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
+
+
 def ask(shape, ground, q, side=1):
     """`touches_once` where they are nearest."""
     system = system_of(shape, ground, np.asarray(q, dtype=float), side=side)

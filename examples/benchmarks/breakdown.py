@@ -22,7 +22,7 @@ from timing import by_turns, free_body
 
 import pincontact as pc
 from pincontact.friction.solve import ContactSolver
-from pincontact.integration import driver
+from pincontact.integration import driver, slip_steps
 from pincontact.integration.discrete import write_discrete
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.steps import KEEP_VELOCITY, run_task
@@ -31,7 +31,7 @@ _RUNS = 15
 # What Python calls for compiled work, and the driver's handlers of what may be an event.
 _COMPILED = [(RunSystem, "run"), (RunSystem, "evaluate")]
 _CONE = [(ContactSolver, "solve")]
-_HANDLERS = [(driver.Driver, "_complete"), (driver.Driver, "_end_slip"), (driver.Driver, "_slow_slip")]
+_HANDLERS = [(driver.Driver, "_complete"), (slip_steps.SlipSteps, "end_slip"), (driver.Driver, "_slow_slip")]
 
 
 @dataclass

@@ -180,7 +180,11 @@ class System(Workspace):
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
-        pairs = [frozenset((contact.first.name, contact.second.name)) for contact in self.contacts]
+        # bilateral contacts hold bodies together, wherever they touch
+        pairs = [
+            frozenset((contact.name,) if contact.bilateral else (contact.first.name, contact.second.name))
+            for contact in self.contacts
+        ]
         for c, pair in enumerate(pairs):
             others = range(c + 1, c + 1 + self.nc)
             self.contact_int[c, NEXT] = next(i % self.nc for i in others if pairs[i % self.nc] == pair)

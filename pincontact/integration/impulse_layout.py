@@ -171,6 +171,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "cone_forces": (REALS, "rows"),
     "cone_velocities": (REALS, "rows"),
     "cone_modes": (INTEGERS, "units"),
+    # coefficients with which what was at rest cannot slip
+    "holding_friction": (REALS, "units"),
     "first_forces": (REALS, "rows"),
     # change of velocity by all impulses before what slid is held, whitened
     "slid_change": (REALS, "nv"),

@@ -85,6 +85,8 @@ _LOST = 0.08
 # Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
 # singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
 _INDEPENDENT = 1e-9
+# Forces may leave their cones by this part: they are as accurate as the solver's tolerance.
+_WITHIN = 1e-6
 # A gap below this, relative to the contact's length, is zero.
 _ON_SURFACE = 1e-13
 # Nearer to an end of its domain (in its units) a point is at it.
@@ -154,6 +156,23 @@ def _begin_anew(step, n, known):
 
 
 @kernel
+def _call(step, n, friction, known, task):
+    """Solve the assembled problem of n units with these coefficients; the residual."""
+    return _call_cones(
+        step.calls.solve_cones,
+        as_array(square(step.delassus, 3 * n)),
+        as_array(step.loads[: 3 * n]),
+        as_array(friction[:n]),
+        known,
+        task,
+        0,
+        step.numbers.cone_tolerance,
+        0,
+        0,
+    )
+
+
+@kernel
 def _solve(step, n):
     """Solve the assembled problem of n units in the usual ways; False leaves it to Python."""
     counts, numbers = step.counts, step.numbers
@@ -168,18 +187,7 @@ def _solve(step, n):
     if not afresh and (known.counts[cone.KNOWN] == 0 or known.counts[cone.OWNERS] != owners):
         _begin_anew(step, n, known)
     known.counts[cone.OWNERS] = owners
-    residual = _call_cones(
-        step.calls.solve_cones,
-        as_array(square(step.delassus, 3 * n)),
-        as_array(step.loads[: 3 * n]),
-        as_array(step.friction[:n]),
-        known,
-        task,
-        0,
-        tolerance,
-        0,
-        0,
-    )
+    residual = _call(step, n, step.friction, known, task)
     if not residual <= tolerance:
         return False
     counts.solved += 1
@@ -210,6 +218,35 @@ def _lets_go(system, step, n):
         unit.held = 1 if rests or rolls else 0
         goes = goes or (rests and (slides or opens)) or rolls
     return goes
+
+
+@kernel
+def _may_stay(step, n):
+    """Whether contacts that were at rest at the step's start, and are let go, might stay so in another solution: that
+    in which they cannot slip, if it is within their friction. The solver begins again where it was."""
+    if step.cone_tables[n] == 0:
+        return True
+    known, friction = cone.cone_at(step.cone_tables[n]), step.holding_friction
+    choices, follows, lets_go = known.counts[cone.CHOICES], known.counts[cone.FOLLOWS], False
+    for u in range(n):
+        unit = step.units[u]
+        friction[u] = step.friction[u]
+        if unit.held != 0 and unit.kind == ON_CONTACT and step.start_mode[unit.index] == STICK:
+            friction[u], known.modes[u], lets_go = math.inf, cone.STICK, True
+    if not lets_go:
+        return False
+    holds = _call(step, n, friction, known, step.counts.cone_task) <= step.numbers.cone_tolerance
+    forces = known.forces
+    for u in range(n):
+        if friction[u] != step.friction[u]:
+            tangential = math.hypot(forces[3 * u], forces[3 * u + 1])
+            holds = holds and tangential <= (1.0 + _WITHIN) * step.friction[u] * forces[3 * u + 2]
+    for u in range(n):
+        known.modes[u] = step.cone_modes[u]
+        for k in range(3 * u, 3 * u + 3):
+            known.forces[k], known.velocities[k] = step.cone_forces[k], step.cone_velocities[k]
+    known.counts[cone.CHOICES], known.counts[cone.FOLLOWS] = choices, follows
+    return holds
 
 
 @kernel
@@ -317,10 +354,8 @@ def _impulses(system, step, found):
             # that may hold in other modes of what slides elsewhere
             chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
             for u in range(n):
-                unit = step.units[u]
-                if unit.held != 0:
-                    rested = counts.touched == 0 and step.start_mode[unit.index] == STICK
-                    chosen = chosen or unit.kind == ON_LOADED or rested
+                chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
+            chosen = chosen or (counts.touched == 0 and _may_stay(step, n))
             counts.holding = WANTED if chosen else LOOKED_FOR
             if counts.holding == WANTED:
                 return CONE_LEFT

@@ -240,6 +240,7 @@ def _may_stay(step, n):
     for u in range(n):
         if friction[u] != step.friction[u]:
             tangential = math.hypot(forces[3 * u], forces[3 * u + 1])
+            holds = holds and known.modes[u] == cone.STICK
             holds = holds and tangential <= (1.0 + _WITHIN) * step.friction[u] * forces[3 * u + 2]
     for u in range(n):
         known.modes[u] = step.cone_modes[u]

@@ -215,6 +215,8 @@ class OpenContacts:
 
     def _touches_twice(self, t: float, known: Nearness) -> bool:
         """Whether bodies are inside each other beside a closed contact; that is why steps cannot go on then."""
+        # what steps end with is before the last correction of gaps
+        self.system.evaluate_kinematics(t)
         touches = known.enters(t) is not None
         if touches:
             self.trouble, self.where = TOUCHES_TWICE, known.c

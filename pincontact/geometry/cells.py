@@ -16,7 +16,7 @@ from ..contours.evaluation import call_contour
 from ..contours.sizes import DERIVATIVE_ROWS
 from ..jit import CALLED, INTEGER, entry_kernel, kernel
 from ..workspace import INTEGERS, REALS, Layout, Scratch, Workspace, record
-from .small import dot, norm, rotate_back
+from .small import cross, dot, norm, rotate_back
 
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
 CURVE_CELLS, SURFACE_CELLS = 128, 24
@@ -25,7 +25,7 @@ _DIVISIONS, _MOST_CELLS = 12, 4096
 LONGER = 1.2
 # Cells that are resolved, relative to the distance and to the radius of curvature.
 _FINE, FINEST = 0.05, 0.05
-# And relative to how much farther than the nearest ones they are, and to cells of samples.
+# And relative to how much farther than the nearest ones they are, to cells of samples, and to radii of curvature there.
 _COARSER = 0.25
 # Samples of a leaf of their tree, and levels that it may have.
 _LEAF, _LEVELS = 8, 24
@@ -37,8 +37,8 @@ _REGULAR = 1e-12
 # evaluator, dimension: of the contour; cells, feet: how many there are
 _COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet")
 # time in s; in m: beyond, how much farther than the nearest cell others may be that are kept; around, the radius of a
-# sample's cell; finest, of cells that are resolved
-_NUMBERS = record(REALS, "time", "beyond", "around", "finest")
+# sample's cell; finest, of cells that are resolved. sharpest: the largest curvature found in the middles of cells, 1/m
+_NUMBERS = record(REALS, "time", "beyond", "around", "finest", "sharpest")
 _REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
 # "given": an array of somebody else's is put there
 SEARCH = Layout(
@@ -58,6 +58,7 @@ SEARCH = Layout(
     halves=(_REALS, _MOST_CELLS, 2),  # (n, 2) half their size
     points=(_REALS, _MOST_CELLS, 3),  # (n, 3) their middles, in the contour's frame
     reaches=(_REALS, _MOST_CELLS),  # (n,) their radii in m
+    bends=(_REALS, _MOST_CELLS),  # (n,) largest curvatures in their middles, in 1/m
     distances=(_REALS, _MOST_CELLS),  # (n,) of their middles from the nearest sample, in m
     pairs=(_INTEGERS, _MOST_CELLS),  # (n,) that sample, in the order of the tree
     targets=(_REALS, MOST_FEET, 3),  # (MOST_FEET, 3) in the contour's frame
@@ -153,6 +154,23 @@ def _nearest_sample(search, place, guess):
 
 
 @kernel
+def _curvature(rows, dimension, vectors):
+    """The largest curvature, of a surface the largest normal curvature, in 1/m; 0 where a tangent vanishes."""
+    normal, speed = vectors[0], dot(rows[F_1], rows[F_1])
+    if dimension == 1:
+        cross(rows[F_1], rows[F_11], normal)
+        return norm(normal) / (speed * math.sqrt(speed)) if speed > 0.0 else 0.0
+    cross(rows[F_1], rows[F_2], normal)
+    area, mixed, other = dot(normal, normal), dot(rows[F_1], rows[F_2]), dot(rows[F_2], rows[F_2])
+    if not area > _REGULAR * speed * other:
+        return 0.0
+    l11, l12, l22 = dot(rows[F_11], normal), dot(rows[F_12], normal), dot(rows[F_22], normal)
+    middle = 0.5 * (l11 * other - 2.0 * l12 * mixed + l22 * speed) / area
+    product = (l11 * l22 - l12 * l12) / area
+    return (abs(middle) + math.sqrt(max(middle * middle - product, 0.0))) / math.sqrt(area)
+
+
+@kernel
 def _place_cell(search, i, u1, u2, half1, half2, guess):
     """Make cell i of these parameters; what is known of its middle is left in `rows`."""
     search.middles[i, 0], search.middles[i, 1] = u1, u2
@@ -167,6 +185,7 @@ def _place_cell(search, i, u1, u2, half1, half2, guess):
     for k in range(3):
         place[k] += pose[4, k]
     search.pairs[i], search.distances[i] = _nearest_sample(search, place, guess)
+    search.bends[i] = _curvature(rows, search.counts.dimension, search.vectors)
 
 
 @kernel
@@ -190,7 +209,7 @@ def _move_cell(search, i, k):
         search.middles[k, a], search.halves[k, a] = search.middles[i, a], search.halves[i, a]
     for a in range(3):
         search.points[k, a] = search.points[i, a]
-    search.distances[k], search.pairs[k] = search.distances[i], search.pairs[i]
+    search.distances[k], search.pairs[k], search.bends[k] = search.distances[i], search.pairs[i], search.bends[i]
 
 
 @kernel
@@ -231,8 +250,14 @@ def near_cells(address):
         for i in range(n):
             nearest = min(nearest, distances[i])
             reaches[i] = LONGER * (longest1 * search.halves[i, 0] + longest2 * search.halves[i, 1])
-        kept, coarse, beyond = 0, 0, nearest + numbers.beyond + numbers.around
+        beyond, sharpest = nearest + numbers.beyond + numbers.around, 0.0
+        for i in range(n):
+            if distances[i] - reaches[i] <= beyond:
+                sharpest = max(sharpest, search.bends[i])
+        numbers.sharpest, kept, coarse = sharpest, 0, 0
         finest = max(_FINE * max(nearest - numbers.around, 0.0), max(numbers.finest, _COARSER * numbers.around))
+        if sharpest * finest > _COARSER:
+            finest = max(_COARSER / sharpest, numbers.finest)
         for i in range(n):
             if distances[i] - reaches[i] <= beyond:
                 _move_cell(search, i, kept)

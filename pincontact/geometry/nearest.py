@@ -39,6 +39,8 @@ _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 _STARTS = MOST_FEET // 2
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
+# By how much that may grow from one search to the next.
+_GROWTH = 2.0
 # Radii of curvature beyond this, in m, count as this.
 _LARGEST = 100.0
 # Part of the bends that may be sharper than the radius of curvature that counts: those of poles are the parameters'.
@@ -127,7 +129,8 @@ class NearestSearch:
 
     The contour of less extent is taken as a whole; the other one is divided into cells.
 
-    whole, divided: these contours; side: of the whole one, 0 or 1; bend: least radius of curvature of both, in m.
+    whole, divided: these contours; side: of the whole one, 0 or 1; bend: least radius of curvature of both, in m, near
+    where the last search has found them nearest.
     Raises ValueError where neither contour is bounded.
     """
 
@@ -139,16 +142,21 @@ class NearestSearch:
             raise ValueError("both contours are unbounded.")
         self.side, self.whole = found
         self.divided = contours[1 - self.side]
-        own, other = bend(self.whole.contour, t), bend(self.divided, t)
-        self.bend = min(own, other, _LARGEST)
-        if len(self.whole.points) == 1:
-            # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
-            self.bend = min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
+        self._bends = bend(self.whole.contour, t), bend(self.divided, t)
+        self.bend = self._bend(math.inf)
         self._single = system.alone(c)
         self._cells = search_workspace(self.divided, self.whole.points)
         # time and poses of the last search, and what it found
         self._state: tuple[float, bytes] | None = None
         self._survey: _Survey
+
+    def _bend(self, local: float) -> float:
+        """The least radius of curvature that counts, in m; local: of the divided contour where it is near."""
+        own, other = self._bends[0], min(self._bends[1], local)
+        if len(self.whole.points) > 1:
+            return min(own, other, _LARGEST)
+        # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
+        return min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
@@ -201,13 +209,17 @@ class NearestSearch:
             self.whole = Whole(self.whole.contour, t)
             put_samples(self._cells, self.whole.points)
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
-        neighbourhood = self.neighbourhood
-        cells.numbers["time"], cells.numbers["beyond"] = t, neighbourhood
+        # a body meets nothing in one step that is farther off than it is large
+        beyond = min(self.neighbourhood, whole.size) if whole.size > 0.0 else self.neighbourhood
+        cells.numbers["time"], cells.numbers["beyond"] = t, beyond
         cells.numbers["around"], cells.numbers["finest"] = whole.radius, FINEST * self.bend
-        cells.box[: self.divided.dimension] = self._box(t, centre, neighbourhood)
+        cells.box[: self.divided.dimension] = self._box(t, centre, beyond)
         cells.pose[:3], cells.pose[3], cells.pose[4] = rotation, centre, whole.centre
         near_cells(cells.address)
-        count = int(cells.counts["cells"])
+        sharpest = float(cells.numbers["sharpest"])
+        # no larger than what has been looked at tells
+        self.bend = min(self._bend(1.0 / sharpest if sharpest > 0.0 else math.inf), _GROWTH * beyond / _NEIGHBOURHOOD)
+        neighbourhood, count = self.neighbourhood, int(cells.counts["cells"])
         points, reaches = cells.points[:count].copy(), cells.reaches[:count].copy()
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
@@ -216,7 +228,7 @@ class NearestSearch:
         if not least.all():
             starts += self._deepest(points, neighbourhood)
         # what is farther than the last number has been left out
-        return _Survey(self._candidates(t, starts), points, reaches, least, float(distances.min()) + neighbourhood)
+        return _Survey(self._candidates(t, starts), points, reaches, least, float(distances.min()) + beyond)
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""

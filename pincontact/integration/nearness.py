@@ -71,9 +71,8 @@ class Nearness:
     """What is known of the distance of the bodies of one contact, which is open, or of that beside the place at which
     they touch.
 
-    search: as that of another contact of the same contours, if there is one; near: how far in m bodies may move in a
-    step where they are near each other; taken: other contacts of the same contours, and the contact itself where it is
-    closed: what is looked for is not there. t: time in s.
+    search: as that of another contact of the same contours, if there is one; taken: other contacts of the same
+    contours, and the contact itself where it is closed: what is looked for is not there. t: time in s.
     """
 
     def __init__(self, system: RunSystem, c: int, t: float, search: NearestSearch | None = None) -> None:
@@ -85,15 +84,13 @@ class Nearness:
         self.whole: Whole | None = None
         self.side = 0
         one, two = self.contact.body1.contour, self.contact.body2.contour
-        self.near = math.inf
+        self._far = math.inf
         bodies = self.contact.body1, self.contact.body2
         # sides whose contours change with time
         self.changing = [2 * c + i for i, body in enumerate(bodies) if body.contour.time_dependent]
         self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
         if search is None and is_searched(system, c) and any(np.isfinite(shape.domain).all() for shape in (one, two)):
             self.search = NearestSearch(system, c, t)
-        if self.search is not None:
-            self.near = _NEAR * self.search.bend
         if self.search is not None:
             self.side, self.whole = self.search.side, self.search.whole
         elif (found := least_whole((one, two), t)) is not None:
@@ -102,14 +99,14 @@ class Nearness:
         if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
             # within the other one there is nothing to fly through
             beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
-            self.near = _NEAR * (two.size + (one.size if beside else 0.0))
+            self._far = _NEAR * (two.size + (one.size if beside else 0.0))
         numbers = system.contact_real[c]
         numbers[EXTENT], system.contact_int[c, WHOLE] = -1.0, self.side
         if self.whole is not None:
             numbers[HULL_X : HULL_Z + 1], numbers[EXTENT] = self.whole.centre, self.whole.extent
         # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
         # they may touch
-        self.is_plain = self.search is None and math.isinf(self.near) and not self.is_driven
+        self.is_plain = self.search is None and math.isinf(self._far) and not self.is_driven
         numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
@@ -119,6 +116,11 @@ class Nearness:
         # gap and place that `follow` has left
         self.gap: float = math.nan
         self.place: Place | None = None
+
+    @property
+    def near(self) -> float:
+        """How far in m bodies may move in a step where they are near each other."""
+        return self._far if self.search is None else _NEAR * self.search.bend
 
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""

@@ -8,6 +8,7 @@ from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
+from .projection import CONTRADICTING
 from .results import FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
 from .stages import load_state
 
@@ -58,7 +59,9 @@ def touch_elsewhere(t: float, name: str) -> Stop:
 def contradiction(system: System, t: float) -> str:
     """Which contacts contradict each other after the last projection of `stage_state`, and by how much; "" where none
     do. Leaves that state loaded, with its kinematics."""
-    if not system.scalars["velocity_left"] > 0.0:
+    fastest = max(float(np.abs(system.stage_state[system.nq : system.nq + system.nv]).max(initial=0.0)), 1.0)
+    if not system.scalars["velocity_left"] > CONTRADICTING * fastest:
+        # of round-off nothing is said
         return ""
     load_state(system.address)
     system.evaluate_kinematics(t)

@@ -26,7 +26,7 @@ _ROUND_OFF = 1e-16
 _LARGEST_CORRECTION = 1e3
 # What redundant constraints may leave of velocities, relative to the largest or 1, and, of corrections of q (rad or m),
 # times so much more.
-_CONTRADICTING, _OF_CORRECTION = 1e-5, 1e2
+CONTRADICTING, _OF_CORRECTION = 1e-5, 1e2
 # What a projection may change q and v by, in the step's errors, or relative to them, whichever is more: no error of a
 # step is larger, not even where a contour is smooth between its knots only.
 _EXPLAINED, _LEAST_EXPLAINED = 1e3, 1e-6
@@ -52,7 +52,7 @@ def _contradicts(system):
     fastest = 1.0
     for k in range(v.shape[0]):
         fastest = max(fastest, abs(v[k]))
-    return scalars.velocity_left > (_CONTRADICTING + _OF_CORRECTION * scalars.correction_size) * fastest
+    return scalars.velocity_left > (CONTRADICTING + _OF_CORRECTION * scalars.correction_size) * fastest
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, BOOLEAN, INTEGER, REAL)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..contours import Contour, HeightField, Plane, Sphere
+from ..contours import Contour, Ellipsoid, HeightField, Plane, Sphere
 from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import ORIGIN
@@ -39,6 +39,8 @@ _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 _STARTS = MOST_FEET // 2
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
+# What is no overlap of samples: round-off where they touch.
+_OVERLAP = 1e-9
 # By how much that may grow from one search to the next.
 _GROWTH = 2.0
 # Radii of curvature beyond this, in m, count as this.
@@ -177,6 +179,17 @@ class NearestSearch:
         """A point (3,) in the world in the divided contour's frame, as last evaluated."""
         frame = self._frame()
         return np.asarray(frame[:3].T @ (point - frame[ORIGIN]))
+
+    def may_overlap(self) -> bool:
+        """Whether the bodies may be inside each other, in the system's last evaluation; of a body with samples and an
+        ellipsoid, or a ball, these tell, to their distance squared over the radius of curvature."""
+        if not isinstance(self.divided, (Sphere, Ellipsoid)) or self.whole.rounding > 0.0:
+            return True
+        axes = np.array(self.divided.shape[:3] if isinstance(self.divided, Ellipsoid) else 3 * self.divided.shape[:1])
+        rotation, centre = self.pose()
+        points = ((self.whole.points - self.whole.centre) @ rotation.T + centre) / axes
+        beyond, middle = np.einsum("ni,ni->n", points, points) - 1.0, centre / axes
+        return bool((beyond * (middle @ middle - 1.0)).min() < -_OVERLAP)
 
     def search(self, t: float, taken: Sequence[np.ndarray] = ()) -> Nearest:
         """The nearest points at the system's (q, v).

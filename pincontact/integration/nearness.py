@@ -211,8 +211,11 @@ class Nearness:
 
     def enters(self, t: float) -> Candidate | None:
         """Where bodies are inside each other at the evaluated state, beside the places that are taken; None where they
-        are not. Since the last time they cannot have got there farther than they have moved."""
+        are not. They cannot have got there farther than they have moved since the last search, or samples show."""
+        assert self.search is not None
+        if not self.search.may_overlap():
+            return None
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
-        deepest = self.moved(t) if self.distance > -math.inf else shallow
+        deepest = max(self.moved(t), shallow) if self.distance > -math.inf else shallow
         inside = [found for found in self.find(t) if -deepest <= found.gap < 0.0]
         return min(inside, key=lambda found: found.gap, default=None)

@@ -14,6 +14,9 @@ from test_search_parts import system_of
 import pincontact as pc
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.single_touch import touches_once
+from pincontact.integration.discrete import write_discrete
+from pincontact.integration.open_contacts import OpenContacts
+from pincontact.integration.run_system import RunSystem
 from pincontact.layout import CHART
 
 # The ring stands in the xz-plane.
@@ -63,6 +66,9 @@ def test_a_second_place_is_told(shape, mu, method):
         run = pc.simulate(scene, state, touch + after, method=method)
         assert run.status == -3 and "second place" in run.message, run.message
         assert run.t[-1] <= touch + 2e-3 and run.t[-1] > touch - 0.05
+        # events: a thousandth of the radius at 0.3 m/s at least, whenever it was to end
+        told = float(run.message.removeprefix("t = ").split()[0])
+        assert abs(told - touch) < (3e-3 if method == "Moreau" else 1e-3)
         # in a step of 1 ms; events find it to a thousandth of the radius
         assert depth(run).max() < (2e-3 if method == "Moreau" else 2e-4)
     assert pc.simulate(scene, state, touch - 2e-3, method=method).status == 0
@@ -187,6 +193,17 @@ def test_shapes_that_touch_once(shape, ground, q, side, once):
     assert ask(shape, ground, q, side) == once
 
 
+def test_nothing_is_watched_where_bodies_touch_once():
+    for radius in (0.05, 0.2):
+        scene = scene_of(pc.Sphere(radius))
+        state = scene.initial_state(lying(0.2, 0.0, radius + 0.03), max_gap=0.1)
+        system = RunSystem(scene.model, list(scene.contacts.values()))
+        system.q[:], system.location[:] = state.q, state.location
+        write_discrete(system, state.discrete)
+        system.evaluate(0.0)
+        assert OpenContacts(system).are_any(0.0) == (radius > BEND)
+
+
 def test_what_touches_once_has_no_second_place():
     """Disks in a plane with closed curves of random bumps and dents, outside and inside: where it is said that they
     touch once, disks at dense samples overlap nothing, and are seen to elsewhere."""
@@ -223,7 +240,7 @@ def planar_once(curve, radius, centre):
     scene.add_contour("disk", pc.Circle(radius), frame="disk")
     scene.add_contour("curve", curve)
     scene.add_contact("c", "disk", "curve", bilateral=True)
-    system = pc.integration.run_system.RunSystem(model, list(scene.contacts.values()))
+    system = RunSystem(model, list(scene.contacts.values()))
     state = scene.initial_state([*centre, 1.0, 0.0])
     system.q[:], system.location[:] = state.q, state.location
     system.evaluate_kinematics(0.0)
@@ -275,6 +292,27 @@ def inside(states, shape, radius):
         x, y, z = q[:3, None] + out
         deepest = max(deepest, float((shape(x, y) - z).max()))
     return deepest
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("kind", ["trench", "ridge", "step"])
+def test_points_over_narrow_places(kind, method):
+    """Thrown along grounds with and without ends."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        width = rng.uniform(0.01, 0.05)
+        height = rng.uniform(0.02, 0.05) * (-1.0 if kind == "trench" else 1.0)
+        ground = narrow(kind, width, height)
+        scene = pc.Scene(body(pc.Point()))
+        scene.add_contour("point", pc.Point(), frame="body")
+        scene.add_contour("ground", pc.HeightField(ground, domain=None if seed % 2 else ((-2.0, 2.0), (-2.0, 2.0))))
+        scene.add_contact("c", "point", "ground", friction=pc.Coulomb(0.5))
+        position = [-0.3, 0.0, rng.uniform(0.005, 0.04)]
+        velocity = [rng.uniform(1.0, 3.0), 0.1 * rng.normal(), rng.uniform(0.0, 0.3)]
+        run = pc.simulate(scene, scene.initial_state(position, velocity, free=["c"]), 0.25, method=method)
+        assert run.status == 0, (seed, run.message)
+        below = ground(run.q[:, 0], run.q[:, 1]) - run.q[:, 2]
+        assert below.max() < (1e-3 if method == "Moreau" else 1e-6), seed
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])

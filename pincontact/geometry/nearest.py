@@ -41,6 +41,8 @@ _STARTS = MOST_FEET // 2
 _NEIGHBOURHOOD = 0.5
 # What is no overlap of samples: round-off where they touch.
 _OVERLAP = 1e-9
+# How far around points it is looked, as a part of the contact's length.
+_SEEN = 0.1
 # By how much that may grow from one search to the next.
 _GROWTH = 2.0
 # Radii of curvature beyond this, in m, count as this.
@@ -222,8 +224,9 @@ class NearestSearch:
             self.whole = Whole(self.whole.contour, t)
             put_samples(self._cells, self.whole.points)
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
-        # a body meets nothing in one step that is farther off than it is large
-        beyond = min(self.neighbourhood, whole.size) if whole.size > 0.0 else self.neighbourhood
+        # in one step a body meets nothing that is farther off than it is large; a point, than a part of the ground is
+        large = max(whole.size, _SEEN * self.system.contact_real[self.c, LENGTH])
+        beyond = min(self.neighbourhood, large)
         cells.numbers["time"], cells.numbers["beyond"] = t, beyond
         cells.numbers["around"], cells.numbers["finest"] = whole.radius, FINEST * self.bend
         cells.box[: self.divided.dimension] = self._box(t, centre, beyond)

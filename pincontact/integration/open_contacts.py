@@ -140,8 +140,7 @@ class OpenContacts:
             distance = self._distance(known, t)
             if known.search is not None and h > time_to_cover(distance, speed, acceleration):
                 moved = known.moved(t)
-                far = not known.is_open or distance >= known.near or moved + known.near > known.elsewhere
-                if moved > 0.0 and far:
+                if moved > 0.0 and (distance >= known.near or moved + known.near > known.elsewhere):
                     self._search(t, known)
                     distance = self._distance(known, t)
             known.set_out()

@@ -625,3 +625,20 @@ def test_rods_that_pass_through_parallel_do_not_touch(method):
     np.testing.assert_allclose(np.linalg.norm(run.v[-1, :3]), 0.05, rtol=0.0, atol=1e-7)
     # which side the bodies are on is not known any more, and that is told
     assert "inside or behind each other" in run.message
+
+
+def test_throws_across_a_tube():
+    """Past its axis, where what is nearest goes over to the other side within steps: long steps of a method of low
+    order touch when short ones of high order do."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        shape, tube = pc.Ellipsoid(*rng.uniform(0.04, 0.12, 3)), pc.Cylinder(rng.uniform(0.5, 0.8))
+        placement = pin.SE3(pin.exp3(rng.normal(size=3)), np.zeros(3))
+        scene = scene_of(shape, tube, placement=placement, side=1, order=("ground", "shape"))
+        state = start(scene, rng.uniform(-0.15, 0.15, 3), rng.normal(size=3), 3.0 * rng.normal(size=3))
+        expected = touches(pc.simulate(scene, state, 0.3, rtol=1e-10, atol=1e-12))
+        for steps in (None, 36):
+            run = pc.simulate(scene, state, 0.3, method="RK45", **({"max_step": 0.3 / steps} if steps else {}))
+            assert run.status == 0, (seed, run.message)
+            assert len(touches(run)) == len(expected), seed
+            np.testing.assert_allclose(touches(run)[:1], expected[:1], atol=1e-5)

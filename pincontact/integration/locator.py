@@ -206,7 +206,9 @@ class EventLocator:
         The state that the trial step leaves is of the method's full order; only where to stop came from the dense
         output. Where that is as good there is no such step, and its own state is left.
         """
-        system, h, as_good = self.system, crossing.theta * step, self.rk.error <= _AS_GOOD
+        # an open contact may have gone over to other stationary points in the step, between which nothing interpolates
+        as_good = self.rk.error <= _AS_GOOD and not self._open.may_go_over()
+        system, h = self.system, crossing.theta * step
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
         c, kind, slack = crossing.c, crossing.kind, system.slack
         # as small as the step to the crossing has it

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..geometry.carriers import ORIGIN
-from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
+from ..geometry.location import NO_CLOSED_FORM, POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import is_searched
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.single_touch import touches_once
@@ -300,6 +300,11 @@ class OpenContacts:
                     self._cut = 0.5 * step
                     return False
         return True
+
+    def may_go_over(self) -> bool:
+        """Whether Newton's method may have left the nearest points of an open contact for other stationary points."""
+        free = self.system.modes == FREE
+        return bool((free & (self.system.contact_int[: self.system.nc, CLOSED_FORM] == NO_CLOSED_FORM)).any())
 
     def are_plain(self) -> bool:
         """Whether all that is watched is such that compiled steps can tell how long it stays apart."""

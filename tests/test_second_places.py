@@ -339,3 +339,18 @@ def test_balls_over_narrow_places(kind, method):
         # before such a refusal some steps of 3 mm at most went in
         states = run.q[:-4] if told else run.q
         assert inside(states, ground, radius) < (1e-3 if method == "Moreau" else 1e-5), seed
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+def test_two_places_touch_at_once(method):
+    """A ring falls flat upon a crest, which it touches at both sides."""
+    ring = pc.Ellipse(0.08, 0.03)
+    for contacts in (1, 2):
+        scene = scene_of(ring, contacts=contacts)
+        names = [f"c{i}" for i in range(contacts)]
+        run = pc.simulate(
+            scene, scene.initial_state(lying(0.625, 0.4, 0.1), free=names), 0.101, method=method, max_steps=5000
+        )
+        first = [event.time for event in run.events if event.kind == "touch"]
+        assert first[0] == pytest.approx(fall(0.1 - AMPLITUDE), abs=1e-5)
+        assert run.status == (0 if contacts == 2 else -3) and len(first) >= contacts, run.message

@@ -223,8 +223,12 @@ class OpenContacts:
 
     def goes_wrong(self, t: float, h: float, touched: np.ndarray) -> bool:
         """Whether the last step, which is long, carried bodies through each other, or inside each other."""
+        if self._went_through(t, h, touched):
+            return True
+        # what has closed in that step is watched, too
+        self.are_any(t)
         beside = (known for known in self._watched if not known.is_open and known.moved(t) > known.distance)
-        return self._went_through(t, h, touched) or any(self._touches_twice(t, known) for known in beside)
+        return any(self._touches_twice(t, known) for known in beside)
 
     def forget_way(self) -> None:
         """No step has led to the state from which the next one goes."""
@@ -294,7 +298,9 @@ class OpenContacts:
                 return False
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
-                inside = (found for found in known.look(t).candidates if -_DEEPER * way < found.gap < 0.0)
+                # of places that touch at the same time, as far as gaps are known, any will do
+                known_to = -float(system.gap_accuracy[c])
+                inside = (found for found in known.look(t).candidates if -_DEEPER * way < found.gap < known_to)
                 if any(not (self._is_present(c, found) and known.is_near(found)) for found in inside):
                     # which was not followed there, or from far away
                     self._cut = 0.5 * step

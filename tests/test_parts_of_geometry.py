@@ -65,7 +65,7 @@ def test_cells_cover_a_contour_once(contour, finest):
     left out is farther away by as much as was asked for."""
     generator, k = np.random.default_rng(1), contour.dimension
     samples = np.array([2.0, 0.0, 0.0]) + generator.normal(size=(300, 3))
-    search = cells.search_workspace(contour, samples)
+    search = cells.search_workspace(contour, cells.SampleTree(samples))
     search.box[:k] = contour.domain
     rotation, place, own = pin.exp3(np.array([0.3, -1.0, 0.5])), np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.5, 0.2])
     search.pose[:3], search.pose[3], search.pose[4] = rotation, place, own

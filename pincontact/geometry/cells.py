@@ -96,21 +96,20 @@ class SampleTree:
         self.samples = np.ascontiguousarray(points[self.order])
 
 
-def search_workspace(contour: Contour, points: np.ndarray) -> Workspace:
-    """The arrays of `SEARCH` for a contour and samples (m, 3) of another one."""
+def search_workspace(contour: Contour, tree: SampleTree) -> Workspace:
+    """The arrays of `SEARCH` for a contour and samples of another one."""
     search = Workspace(SEARCH)
     search.allocate()
     search.put("shape", contour.shape_row())
     search.put("pool", contour.pool)
     search.domain[: contour.dimension] = contour.domain
     search.counts["evaluator"], search.counts["dimension"] = kernel_address(contour.evaluator), contour.dimension
-    put_samples(search, points)
+    put_samples(search, tree)
     return search
 
 
-def put_samples(search: Workspace, points: np.ndarray) -> None:
-    """Search for what is near these points (m, 3) from here on."""
-    tree = SampleTree(points)
+def put_samples(search: Workspace, tree: SampleTree) -> None:
+    """Search for what is near these samples from here on."""
     for name in ("samples", "nodes", "ends", "order"):
         search.put(name, getattr(tree, name))
 

@@ -6,6 +6,7 @@ the nearest sample, less its radius, is left out, the rest divided; Newton's met
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from .cells import (
     LONGER,
     MOST_FEET,
     SURFACE_CELLS,
+    SampleTree,
     find_feet,
     near_cells,
     put_samples,
@@ -105,7 +107,22 @@ class Whole:
         """Radius in m of a ball around all of it."""
         return self.extent + self.rounding
 
+    @functools.cached_property
+    def tree(self) -> SampleTree:
+        """The samples, to search for those near a place."""
+        return SampleTree(self.points)
 
+
+# contours do not change, nor do any of their parts, but for those that depend on time
+_whole = functools.lru_cache(maxsize=64)(Whole)
+
+
+def _instant(contour: Contour, t: float) -> float:
+    """The time to which what a contour is at t belongs: of most of them, any."""
+    return t if contour.time_dependent else 0.0
+
+
+@functools.lru_cache(maxsize=64)
 def bend(contour: Contour, t: float) -> float:
     """Least radius of curvature in m of a contour, poles of its parameters left out; infinite for what is straight."""
     if contour.dimension == 0:
@@ -146,13 +163,17 @@ class NearestSearch:
             raise ValueError("both contours are unbounded.")
         self.side, self.whole = found
         self.divided = contours[1 - self.side]
-        self._bends = bend(self.whole.contour, t), bend(self.divided, t)
+        one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.contour, self.divided))
+        self._bends = one, two
         self.bend = self._bend(math.inf)
         self._single = system.alone(c)
-        self._cells = search_workspace(self.divided, self.whole.points)
         # time and poses of the last search, and what it found
         self._state: tuple[float, bytes] | None = None
         self._survey: _Survey
+
+    @functools.cached_property
+    def _cells(self) -> Workspace:
+        return search_workspace(self.divided, self.whole.tree)
 
     def _bend(self, local: float) -> float:
         """The least radius of curvature that counts, in m; local: of the divided contour where it is near."""
@@ -221,8 +242,8 @@ class NearestSearch:
     def _look(self, t: float) -> _Survey:
         """All that a search finds, wherever other contacts are."""
         if self.whole.contour.time_dependent:
-            self.whole = Whole(self.whole.contour, t)
-            put_samples(self._cells, self.whole.points)
+            self.whole = _whole(self.whole.contour, t)
+            put_samples(self._cells, self.whole.tree)
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
         # in one step a body meets nothing that is farther off than it is large; a point, than a part of the ground is
         large = max(whole.size, _SEEN * self.system.contact_real[self.c, LENGTH])
@@ -312,7 +333,7 @@ class NearestSearch:
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:
     """The smaller one of the contours that are bounded, and its side; None where none is."""
     bounded = [side for side in (0, 1) if np.isfinite(contours[side].domain).all()]
-    wholes = [(side, Whole(contours[side], t)) for side in bounded]
+    wholes = [(side, _whole(contours[side], _instant(contours[side], t))) for side in bounded]
     return min(wholes, key=lambda found: found[1].size, default=None)
 
 

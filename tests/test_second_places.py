@@ -93,6 +93,20 @@ def test_at_rest_across_a_trough(method):
         assert forces[0][0] * forces[1][0] < 0.0
 
 
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+def test_at_rest_across_the_only_trench(method):
+    """Of a plane that is flat all around: no sample of all of it shows how sharp its curvature is there."""
+    radius, x = 0.08, np.linspace(-0.08, 0.08, 200_001)
+    height = float((-0.05 * np.exp(-((x / 0.05) ** 2)) + np.sqrt(radius**2 - x**2)).max())
+    scene = pc.Scene(body(pc.Sphere(radius)))
+    scene.add_contour("shape", pc.Sphere(radius), frame="body")
+    scene.add_contour("ground", pc.HeightField(lambda x, y: -0.05 * np.exp(-((x / 0.05) ** 2))))
+    scene.add_contact("c", "shape", "ground", friction=pc.Coulomb(0.6))
+    run = pc.simulate(scene, scene.initial_state(at(pc.Sphere(radius), 0.0, height)), 0.1, method=method)
+    assert run.status == -3 and "second place" in run.message
+    assert height - 1e-3 < run.q[-1, 2] <= height + 1e-6
+
+
 @pytest.mark.parametrize("method", ["DOP853", "Sharp98", "Moreau"])
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_second_contacts_strike(method, restitution):

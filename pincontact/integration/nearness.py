@@ -110,7 +110,8 @@ class Nearness:
         numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
-        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
+        self.rotation: np.ndarray | None = None
+        self.centre, self.time = np.zeros(3), t
         # where it was on the divided contour as the last step began
         self.start = np.zeros(3)
         # gap and place that `follow` has left
@@ -119,8 +120,10 @@ class Nearness:
 
     @property
     def near(self) -> float:
-        """How far in m bodies may move in a step where they are near each other."""
-        return self._far if self.search is None else _NEAR * self.search.bend
+        """How far in m bodies may move in a step where they are near each other; zero before it has been looked."""
+        if self.search is None:
+            return self._far
+        return _NEAR * self.search.bend if self.search.is_bend_known else 0.0
 
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""
@@ -163,6 +166,8 @@ class Nearness:
         search = self.search
         if search is None:
             return 0.0
+        if self.rotation is None:
+            return math.inf
         if self.changing:
             return 0.0 if t == self.time else math.inf
         rotation, centre = search.pose()

@@ -368,3 +368,37 @@ def test_two_places_touch_at_once(method):
         first = [event.time for event in run.events if event.kind == "touch"]
         assert first[0] == pytest.approx(fall(0.1 - AMPLITUDE), abs=1e-5)
         assert run.status == (0 if contacts == 2 else -3) and len(first) >= contacts, run.message
+
+
+def rolls(seed, ground, radius, method):
+    """A ball rolls without slip along x towards whatever there is at the origin of a ground that is flat elsewhere."""
+    rng = np.random.default_rng(seed)
+    speed, start = rng.uniform(0.5, 3.0), rng.uniform(2.0, 5.0) * radius
+    scene = pc.Scene(body(pc.Sphere(radius)))
+    scene.add_contour("ball", pc.Sphere(radius), frame="body")
+    scene.add_contour("ground", ground)
+    scene.add_contact("c", "ball", "ground", friction=pc.Coulomb(0.6))
+    # past the middle of a pit, where it would touch all around
+    beside = 0.1 * radius
+    height = ground.point((-start, beside))[2]
+    state = scene.initial_state(lying(-start, beside, radius + height), [speed, 0.0, 0.0, 0.0, speed / radius, 0.0])
+    return pc.simulate(scene, state, 1.5 * start / speed, method=method)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+@pytest.mark.parametrize("kind", ["trench", "ridge", "pit", "bump", "step"])
+def test_balls_roll_onto_narrow_places(kind, method):
+    """What is narrower than a ball, on a ground of hundreds of its radii, touches it before it is inside."""
+    told = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        radius = rng.uniform(0.05, 0.3)
+        width, up = rng.uniform(0.07, 0.4) * radius, 1.0 if kind in ("ridge", "bump", "step") else -1.0
+        shape = narrow(kind, width, up * rng.uniform(0.5, 1.8) * width)
+        run = rolls(seed, pc.HeightField(shape, domain=((-15.0, 15.0), (-15.0, 15.0))), radius, method)
+        assert run.status == 0 or "second place" in run.message, (seed, run.message)
+        told += run.status != 0
+        # a step of 1 ms at the speeds of these balls
+        assert inside(run.q, shape, radius) < (5e-3 if method == "Moreau" else 1e-5), seed
+    # stones stop all of them; past the middle of a small pit they roll around its edge
+    assert told == 4 if kind in ("ridge", "bump") else told >= (kind != "pit")

@@ -149,7 +149,7 @@ FAULTS = {
 }
 
 
-def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
+def of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
     """Bounds of the function `op` with constant c, and of its derivative."""
     if op in _RULES:
         rule = _RULES[op]
@@ -175,7 +175,7 @@ def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
     return value, value.square().affine(1.0, 1.0)
 
 
-def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Interval]:
+def of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Interval]:
     """Bounds of the function `op`, and of its derivatives by x and y."""
     if op == ops.MULTIPLY:
         return x * y, y, x
@@ -304,10 +304,10 @@ def _enclosed(
             slopes = x_slopes.affine(node.c) + y_slopes.affine(node.d)
         elif node.y >= 0:
             y, y_slopes = out[node.y]
-            value, by_x, by_y = _of_two(node.op, x, y)
+            value, by_x, by_y = of_two(node.op, x, y)
             slopes = by_x * x_slopes + by_y * y_slopes
         else:
-            value, slope = _of_one(node.op, node.c, x)
+            value, slope = of_one(node.op, node.c, x)
             slopes = slope * x_slopes
         if at_points is not None:
             change = slopes * reach

@@ -117,6 +117,13 @@ def pack(directions: list[Direction], coefficients: np.ndarray, first: int = 0, 
     return np.concatenate(parts)
 
 
+def breaks_of(pool: np.ndarray) -> list[np.ndarray]:
+    """The breaks (n + 1,) of each direction of what is packed."""
+    blocks = [_BLOCKS + _BLOCK * i for i in range(int(pool[_DIRECTIONS]))]
+    starts = [(int(pool[block + _BREAKS]), int(pool[block + _COUNT])) for block in blocks]
+    return [pool[first : first + count + 1] for first, count in starts]
+
+
 @kernel
 def _interval(pool, breaks, count, uniform, u):
     """Index of the interval that holds u, or the first or last one."""

@@ -15,6 +15,10 @@ import numpy as np
 import scipy
 
 from ..contours import Contour, HeightField, Line, Plane, Torus
+from ..contours.bends import bends_less
+from ..contours.piecewise import breaks_of, chebyshev_nodes, fitted
+from ..contours.splines import height_spline
+from ..contours.tape import traced
 from ..layout import PATTERN
 from ..workspace import Workspace
 from .carriers import ORIGIN
@@ -22,6 +26,8 @@ from .patterns import PLANAR
 
 # Samples of a curve and of a surface; how far in m from the origin those of an unbounded one are.
 _CURVE, _SURFACE, _WINDOW = 2000, 4000, 10.0
+# Of each piece of a piecewise polynomial, along each parameter, at least; and pieces that are looked at, at most.
+_OF_PIECE, _PIECES = 4, 4096
 # Multiples of these, less whole numbers, fill a length and a square evenly (the inverse of the golden ratio, and of the
 # plastic number and its square).
 _GOLDEN, _PLASTIC = np.array([0.6180339887498949]), np.array([0.7548776662466927, 0.5698402909980532])
@@ -74,11 +80,32 @@ def _side_of(system: Workspace, c: int, side: int) -> int:
 
 @functools.lru_cache(maxsize=64)
 def _samples(contour: Contour) -> np.ndarray:
-    """f and its derivatives (n, 10, 3) all over a contour, at places that no period of its shape repeats."""
-    low, high = np.array([(max(low, -_WINDOW), min(high, _WINDOW)) for low, high in contour.domain]).T
+    """f and its derivatives (n, 10, 3) all over a contour: in each of its pieces, or at places that no period of its
+    shape repeats."""
     count, steps = (_CURVE, _GOLDEN) if contour.dimension == 1 else (_SURFACE, _PLASTIC)
+    if _is_piecewise(contour):
+        of_piece = max(_OF_PIECE, math.ceil((count / _pieces(contour)) ** (1.0 / contour.dimension)))
+        within = 0.5 + 0.5 * chebyshev_nodes(of_piece - 1)
+        lines = [(breaks[:-1, None] + np.diff(breaks)[:, None] * within).ravel() for breaks in breaks_of(contour.pool)]
+        return contour.evaluate_many(np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines)))
+    low, high = np.array([(max(low, -_WINDOW), min(high, _WINDOW)) for low, high in contour.domain]).T
     parts = np.mod((np.arange(count)[:, None] + 0.5) * steps, 1.0)
     return contour.evaluate_many(low + (high - low) * parts)
+
+
+def _is_piecewise(contour: Contour) -> bool:
+    return contour.evaluator in (fitted, height_spline)
+
+
+def _pieces(contour: Contour) -> int:
+    return math.prod(len(breaks) - 1 for breaks in breaks_of(contour.pool))
+
+
+def _is_resolved(contour: Contour) -> bool:
+    """Whether samples show all that it has."""
+    if not _is_piecewise(contour):
+        return contour.evaluator is not traced
+    return _pieces(contour) <= _PIECES
 
 
 def _normals(values: np.ndarray, in_plane: bool) -> np.ndarray:
@@ -111,11 +138,15 @@ def _largest_radius(contour: Contour, in_plane: bool) -> float:
 def _rolls_freely(contour: Contour, side: int, radius: float, in_plane: bool) -> bool:
     """Whether a ball of this radius in m that touches a contour anywhere, on this side, is inside it nowhere."""
     radius *= _LARGER
-    if radius * float((side * _curvatures(contour, in_plane)).max()) >= 1.0:
-        return False
-    if contour.convex_side != 0 or isinstance(contour, (HeightField, Torus)):
-        return True
+    if _is_resolved(contour):
+        is_larger = radius * float((side * _curvatures(contour, in_plane)).max()) >= 1.0
+    else:
+        is_larger = not bends_less(contour, side, 1.0 / radius)
+    if is_larger or contour.convex_side != 0 or isinstance(contour, (HeightField, Torus)):
+        return not is_larger
     # a narrow place, where parts face each other
+    if contour.evaluator is traced and not np.isfinite(contour.domain).all():
+        return False
     values = _samples(contour)
     centres = values[:, 0] + side * radius * _normals(values, in_plane)
     tree = scipy.spatial.cKDTree(values[:, 0])

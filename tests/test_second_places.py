@@ -177,6 +177,15 @@ def lying(x, y, z):
 
 
 BOWL = pc.Ellipsoid(1.0, 0.8, 0.7)
+
+
+def terrain(lines, stone=0.0):
+    """A flat grid of heights, 4 m across, with a stone at one node."""
+    x, heights = np.linspace(-2.0, 2.0, lines), np.zeros((lines, lines))
+    heights[lines // 5, lines // 3] = stone
+    return pc.HeightField(x, x, heights)
+
+
 UPRIGHT = (0.0, 0.0, 0.35, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 # the least radius of curvature of the waves
 BEND = LENGTH**2 / (4.0 * math.pi**2 * AMPLITUDE)
@@ -198,6 +207,13 @@ BEND = LENGTH**2 / (4.0 * math.pi**2 * AMPLITUDE)
         (pc.Ellipsoid(0.1, 0.4, 0.15), BOWL, lying(0.0, 0.02, -0.2), -1, False),
         (pc.Ellipsoid(0.1, 0.4, 0.15), BOWL, lying(0.0, 0.02, 0.9), 1, True),
         (pc.Torus(0.3, 0.05), pc.Plane(), UPRIGHT, 1, True),
+        # a stone as wide as one square of the grid; so many squares that not all of them are looked at
+        (pc.Sphere(0.2), terrain(41), lying(0.5, 0.1, 0.3), 1, True),
+        (pc.Sphere(0.2), terrain(41, stone=0.03), lying(0.5, 0.1, 0.3), 1, False),
+        (pc.Sphere(0.2), terrain(101), lying(0.5, 0.1, 0.3), 1, False),
+        # and of a formula
+        (pc.Sphere(0.2), pc.HeightField(lambda x, y: 0.02 * np.tanh(x - 7.0)), lying(0.5, 0.1, 0.3), 1, True),
+        (pc.Sphere(0.2), pc.HeightField(lambda x, y: 0.02 * np.tanh(50.0 * x)), lying(9.5, 0.1, 0.3), 1, False),
         # through the hole, over it
         (pc.Sphere(0.25), pc.Torus(0.6, 0.3), lying(0.6, 0.0, 0.6), 1, True),
         (pc.Sphere(0.35), pc.Torus(0.6, 0.3), lying(0.1, 0.0, 0.3), 1, False),

@@ -114,10 +114,8 @@ def _relocate(system, step, t):
     status = _evaluate_start(system, t)
     for c in range(system.sizes.nc):
         if status == OK and system.contact_int[c, MODE] == FREE:
-            # a place that has been looked for, not leapt to: what the others say of its side stands
-            behind, step.start_gap[c] = step.behind[c], system.gaps[c, 0]
+            step.start_gap[c] = system.gaps[c, 0]
             commit_contact(system, step, c, 0)
-            step.behind[c] = behind if system.gaps[c, 0] < 0.0 else 0
     return status
 
 

@@ -20,7 +20,7 @@ from .integration.steps import RECORD
 from .layout import (
     CONTACT_INTS,
     FROZEN_COLUMNS,
-    STICK,
+    FREE,
 )
 from .scene import Scene
 from .state import State
@@ -171,14 +171,14 @@ def _with_output_modes(
 ) -> Recorded:
     """What was recorded, with the modes that hold at the outputs in place of the steps' own."""
     recorded = unpack()
-    resting = np.flatnonzero((recorded.discrete[:, :, 0] == STICK).any(axis=1)).tolist()
-    if not resting:
+    closed = np.flatnonzero((recorded.discrete[:, :, 0] != FREE).any(axis=1)).tolist()
+    if not closed:
         return recorded
     # the run's own system, if nothing has been added to the scene since
     cached = take_system(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
     system = RunSystem(scene.model, contacts) if cached is None else cached.system
     modes = OutputModes(system, contact_solver)
-    for i in resting:
+    for i in closed:
         load_output(system, recorded, i, q[i], v[i])
         kept = system.contact_int.copy(), system.contact_real.copy()
         if modes.resolve(float(t[i])):

@@ -39,6 +39,8 @@ from .search import Candidate, evaluated, grid, spaced, stationary_points
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 # Starts of Newton's method from what is nearest, and as many from what may be inside.
 _STARTS = MOST_FEET // 2
+# Among so many places, one in each other neighbourhood, these are looked for.
+_LOOKED_AT = 64
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
 # What is no overlap of samples: round-off where they touch.
@@ -270,7 +272,7 @@ class NearestSearch:
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         nearest = cells.order[cells.pairs[:count]]
-        starts = [(i, int(nearest[i])) for i in spaced(points, np.argsort(distances), neighbourhood, _STARTS)]
+        starts = [(i, int(nearest[i])) for i in _lowest(points, distances, neighbourhood)]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
         # what is farther than the last number has been left out
@@ -337,6 +339,23 @@ class NearestSearch:
         rotation, centre = self.pose()
         x, y, z = ((points - centre) @ rotation).T
         return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
+
+
+def _lowest(points: np.ndarray, distances: np.ndarray, apart: float) -> list[int]:
+    """Where to start from: of points (n, 3) those with the least distances, apart from each other, and first those that
+    have no lower one so near. Around where a large body touches many are lower than wherever it touches next."""
+    order = np.argsort(distances)
+    sorted_points, left = points[order], np.ones(len(order), dtype=bool)
+    lowest: list[int] = []
+    others: list[int] = []
+    for _ in range(_LOOKED_AT):
+        i = int(np.argmax(left))
+        if not left[i] or len(lowest) == _STARTS:
+            break
+        near = ((sorted_points - sorted_points[i]) ** 2).sum(axis=1) <= apart * apart
+        (others if near[:i].any() else lowest).append(int(order[i]))
+        left &= ~near
+    return (lowest + others)[:_STARTS]
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:

@@ -329,9 +329,10 @@ class MoreauStep:
         steps = self._open.look(t, size, self.touch_time >= 0.0)
         if self._open.relocated:
             relocated = list(self._open.relocated)
-            behind[relocated] = ~self._open.apart[relocated]
             self._open.relocated.clear()
             self._run(RELOCATE, t)
+            # these have been looked for there: they have not leapt
+            behind[relocated] = ~self._open.apart[relocated]
         return steps
 
     def follow(self, t: float) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..contours.base import F_T, F_TT, PLANE
-from ..geometry.carriers import ORIGIN
+from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched, least_whole
 from ..layout import (
@@ -65,6 +65,11 @@ def places_of(system: System, contacts: list[int], c: int) -> list[np.ndarray]:
         points = system.frames[sides, ORIGIN] + system.derivatives[sides, 0]
         places.append(points if system.contacts[i].body1 is system.contacts[c].body1 else points[::-1])
     return places
+
+
+def touching_order(gap: float, rate: float, h: float) -> tuple[float, float]:
+    """Before others is what will be inside, and deeper, after h; then what is nearer."""
+    return min(gap + h * rate, 0.0) if gap >= 0.0 else 0.0, abs(gap)
 
 
 class Nearness:
@@ -213,6 +218,23 @@ class Nearness:
         (self.rotation, self.centre), self.time = self.search.pose(), t
         self.distance, self.elsewhere = nearest.distance, nearest.elsewhere
         return nearest.candidates
+
+    def order(self, found: Candidate, t: float, h: float) -> tuple[float, float]:
+        """By which candidates at the evaluated state are compared, see `touching_order`."""
+        return touching_order(found.gap, self._gap_rate(found, t) if h > 0.0 else 0.0, h)
+
+    def _gap_rate(self, found: Candidate, t: float) -> float:
+        """Rate in m/s of the gap at a candidate, at the evaluated state."""
+        system, contour = self.system, self.contact.body2.contour
+        frames = system.frames[2 * self.c : 2 * self.c + 2]
+        values = contour.evaluate(found.location[2 : 2 + contour.dimension].tolist(), t, found.charts[1])
+        shape = values @ frames[1, :3].T
+        across = shape[2] if contour.dimension == 2 else frames[1, :3, 2]
+        normal = -float(system.contact_int[self.c, SIDE]) * np.cross(shape[1], across)
+        rate = shape[F_T] if contour.time_dependent else np.zeros(3)
+        for frame, point, sign in zip(frames, found.points, (-1.0, 1.0)):
+            rate = rate + sign * (frame[VELOCITY] + np.cross(frame[OMEGA], point - frame[ORIGIN]))
+        return float(normal @ rate / np.linalg.norm(normal))
 
     def enters(self, t: float) -> Candidate | None:
         """Where bodies are inside each other at the evaluated state, beside the places that are taken; None where they

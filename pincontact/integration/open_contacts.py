@@ -33,7 +33,7 @@ from ..layout import (
 from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
-from .nearness import Nearness, Place, of_same_contours
+from .nearness import Nearness, Place, of_same_contours, touching_order
 from .results import FLIES_THROUGH, TOUCHES_TWICE
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -196,7 +196,9 @@ class OpenContacts:
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
                 if lost or known.moved(t) + way > known.elsewhere:
-                    found = self.find(t, c, way)
+                    # what steps end with is before the last correction of gaps
+                    self.system.evaluate_kinematics(t)
+                    found = self.find(t, c, way, h)
                     if found is not None:
                         # it has not been elsewhere longer than in the last step
                         self.apart[c] = found.gap > -_DEEPER * way
@@ -342,18 +344,22 @@ class OpenContacts:
 
     # ---------------------------------------------------------------- nearest points
 
-    def find(self, t: float, c: int, entered: float = 0.0) -> Candidate | None:
+    def find(self, t: float, c: int, entered: float = 0.0, h: float = 0.0) -> Candidate | None:
         """Look for the nearest points of contact c at the evaluated state; None where they are not others than before,
         which are then in `system.state`. entered: by how much in m bodies may have got inside each other; where they
-        have, is nearest."""
+        have, or will have within h, is nearest."""
         system, known = self.system, self._nearness(c, t)
-        candidates = known.find(t)
+        candidates, gap = known.find(t), float(system.gaps[c, 0])
         inside = [found for found in candidates if -entered < found.gap < 0.0]
-        found = min(inside, key=lambda each: each.gap) if inside else next(iter(candidates), None)
+        if inside:
+            found = min(inside, key=lambda each: each.gap)
+        else:
+            found = min(candidates, key=lambda each: known.order(each, t, h), default=None)
         if found is None or self._is_present(c, found):
             return None
-        if not inside and system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
-            # where it is followed is nearer than what was found
+        followed = not inside and system.contact_real[c, DOMAIN] >= 0.0 and gap >= 0.0
+        if followed and touching_order(gap, gap_rate(system, c), h) <= known.order(found, t, h):
+            # where it is followed comes before what was found
             return None
         self._put(c, (found.location, found.branch, found.determinant_sign, found.charts))
         self.relocated.add(c)

@@ -30,15 +30,17 @@ class OutputModes:
     def resolve(self, t: float) -> bool:
         """Give the system the modes that hold at t; whether they may be others than the step's end has."""
         system = self._system
-        held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
-        if not held or (status := system.evaluate(t)) > EVENT:
+        closed = system.closed()
+        if not closed or (status := system.evaluate(t)) > EVENT:
             return False
+        held = [c for c in closed if system.contact_int[c, MODE] == STICK]
         modes = ModeSolver(system, self._contact_solver)
         if self._solver is not None:
             # an output does not depend on others
             self._solver.forget()
             modes.solver = self._solver
-        margins = system.event_functions[held][:, [NORMAL_EVENT, FRICTION_EVENT]]
+        functions = system.event_functions
+        margins = np.append(functions[closed, NORMAL_EVENT], functions[held, FRICTION_EVENT])
         if np.min(margins) >= -modes.force_round_off():
             return False
         integers, numbers = system.contact_int.copy(), system.contact_real.copy()

@@ -1,0 +1,100 @@
+"""Time stepping of bodies that touch a ground at one place after the other: where they first touch in a step, whatever
+its size, by dense samples of both; and what outputs show of contacts that would pull."""
+
+import itertools
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_open_contacts import body
+
+import pincontact as pc
+
+# A curve's y-axis points up, the ring rolls along x.
+UPRIGHT = pin.SE3(pin.utils.rotate("x", math.pi / 2), np.zeros(3))
+RADIUS = 0.1
+
+
+def scene_over(shape, field, contacts, mu=0.5):
+    scene = pc.Scene(body(shape))
+    scene.add_contour("shape", shape, frame="body", placement=UPRIGHT)
+    scene.add_contour("ground", pc.HeightField(field, domain=((-1.0, 1.0), (-1.0, 1.0))))
+    for i in range(contacts):
+        scene.add_contact(f"c{i}", "shape", "ground", friction=pc.Coulomb(mu) if mu else None)
+    return scene
+
+
+def depth(run, field):
+    """How far in m samples of an upright disk are below the ground, at most, for each output."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 4001)
+    x, z = run.q[:, :1] + RADIUS * np.sin(angle), run.q[:, 2:3] - RADIUS * np.cos(angle)
+    slope = (field(x + 1e-6, 0.0) - field(x - 1e-6, 0.0)) / 2e-6
+    return ((field(x, 0.0) - z) / np.sqrt(1.0 + slope * slope)).max(axis=1)
+
+
+def profile(rng):
+    """A ridge or trench of random height and width in m that a disk of this radius strikes; its least radius."""
+    height = rng.uniform(0.02, 0.06) * rng.choice([-1.0, 1.0])
+    width = rng.uniform(0.8, 2.0) * abs(height)
+    return (lambda x, y: height * np.exp(-((x / width) ** 2)) + 0.0 * y), 0.5 * width**2 / abs(height)
+
+
+def first_touches(run):
+    """Of each contact the time in s of its first touch."""
+    return {event.contact: event.time for event in reversed(run.events) if event.kind == "touch"}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_disks_strike_flanks(seed):
+    """Rings and balls roll on the plane to a ridge, or over a trench: a second contact strikes the flank within the
+    step in which it is reached, at the time that events give."""
+    rng = np.random.default_rng(seed)
+    field, bend = profile(rng)
+    shape = [pc.Circle(RADIUS), pc.Sphere(RADIUS)][seed % 2]
+    scene = scene_over(shape, field, 3)
+    speed = rng.uniform(0.5, 1.5)
+    start = np.array([-rng.uniform(0.2, 0.3), 0.0, RADIUS + 0.01, 0.0, 0.0, 0.0, 1.0])
+    state = scene.initial_state(start, [speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0], free=list(scene.contacts))
+    exact = first_touches(pc.simulate(scene, state, 0.35))
+    end = max(exact.values()) + 0.02
+    for step in (2e-3, 4e-3):
+        run = pc.simulate(scene, state, end, method="Moreau", dt=step)
+        assert run.status == 0, run.message
+        # a place that is none yet as the step begins comes to be by how the ground bends on the way; a place that is
+        # a step late would be in by the way itself, times the sine of the slope
+        assert depth(run, field).max() < 0.5 * (speed * step) ** 2 / bend
+        found = first_touches(run)
+        assert sorted(found.values()) == pytest.approx(sorted(exact.values()), abs=step)
+
+
+def test_one_contact_flies_to_the_other_flank():
+    """It leaves one edge of a trench, to which it stays nearest up to the step in which it strikes the other one."""
+
+    def field(x, y):
+        return -0.0045 * np.exp(-((x / 0.0122) ** 2)) + 0.0 * y
+
+    scene = scene_over(pc.Circle(RADIUS), field, 1, mu=0.8)
+    start = np.array([-0.15, 0.0, RADIUS + 1e-3, 0.0, 0.0, 0.0, 1.0])
+    for speed, step in itertools.product([1.2, 1.4, 1.6, 2.2], [2e-3, 4e-3]):
+        state = scene.initial_state(start, [speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0], free=["c0"])
+        run = pc.simulate(scene, state, 0.14, method="Moreau", dt=step)
+        # a step late would be 1e-4 to 1e-3
+        assert run.status == 0 and depth(run, field).max() < 1e-5, run.message
+
+
+@pytest.mark.parametrize("law", [None, pc.Coulomb(0.4), pc.Coulomb(0.4, viscous=0.5), pc.NoSlip()], ids=str)
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_outputs_show_no_forces_that_pull(law, speed):
+    """On top of a dome: the faster ball flies off, v^2 > g (R + r), and both methods show the same at the start."""
+    scene = pc.Scene(body(pc.Sphere(0.1)))
+    scene.add_contour("ball", pc.Sphere(0.1), "body")
+    scene.add_contour("dome", pc.Sphere(0.5))
+    scene.add_contact("c", "ball", "dome", friction=law)
+    spin = speed / 0.1 if isinstance(law, pc.NoSlip) else 0.0
+    state = scene.initial_state([0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0], [speed, 0.0, 0.0, 0.0, spin, 0.0])
+    tracks = [pc.simulate(scene, state, 3e-3, method=method).contacts["c"] for method in ("DOP853", "Moreau")]
+    for track in tracks:
+        assert (track.mode[0] == -1) == (speed > 2.0)
+        assert track.normal_force.min() >= 0.0
+    assert tracks[0].normal_force[0] == pytest.approx(tracks[1].normal_force[0], abs=1e-9)

@@ -24,6 +24,7 @@ from .dynamics.manifold import (
 )
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
+from .geometry.nearest import NearestSearch, is_searched
 from .geometry.search import Candidate, find_candidates
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
@@ -369,7 +370,26 @@ def _candidates(
                 guess[offset : offset + values.size] = values
     guess[contact.body1.contour.dimension : 2] = 0.0
     guess[2 + contact.body2.contour.dimension :] = 0.0
-    return find_candidates(single, t, guess, beyond=is_free)
+    found = find_candidates(single, t, guess, beyond=is_free)
+    if is_free and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
+        # stationary points that are not those where bodies are nearest
+        found = [one for one in found if one.gap >= 0.0]
+        if not found:
+            raise SingularContactError(
+                f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and nearest "
+                "along a line or a circle, as on an axis of symmetry: move q a little",
+                0.0,
+            )
+    return found
+
+
+def _are_apart(single: System, t: float) -> bool:
+    """Whether the bodies of a system with one contact are apart at its (q, v), for certain."""
+    bodies = single.contacts[0].body1, single.contacts[0].body2
+    if not any(np.isfinite(body.contour.domain).all() for body in bodies):
+        return False
+    single.evaluate_kinematics(t)
+    return NearestSearch(single, 0, t).search(t).distance > 0.0
 
 
 def _together(untouched: dict[str, NoContactError]) -> NoContactError:

@@ -418,3 +418,27 @@ def test_balls_roll_onto_narrow_places(kind, method):
         assert inside(run.q, shape, radius) < (5e-3 if method == "Moreau" else 1e-5), seed
     # stones stop all of them; past the middle of a small pit they roll around its edge
     assert told == 4 if kind in ("ridge", "bump") else told >= (kind != "pit")
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("kind", ["pit", "trench"])
+def test_drops_onto_an_axis_of_symmetry(kind, method):
+    """Bodies that touch at two places at the same time, or all around, go through neither."""
+    shape = narrow(kind, 0.03, -0.03)
+    for own, height, beside in itertools.product((pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.1, 0.09)), (0.3, 0.6), (0, 1e-9)):
+        scene = pc.Scene(body(own))
+        scene.add_contour("own", own, frame="body")
+        scene.add_contour("ground", pc.HeightField(shape))
+        scene.add_contact("c", "own", "ground", side=1)
+        try:
+            state = scene.initial_state(lying(beside, 0.0, height), free=["c"])
+        except pc.SingularContactError:
+            # nearest all around, and told before anything moves
+            assert kind == "pit"
+            continue
+        run = pc.simulate(scene, state, fall(height) + 0.1, method=method)
+        assert run.status in (0, -3), run.message
+        assert kind == "trench" or "along a line or a circle" in run.message, run.message
+        if isinstance(own, pc.Sphere):
+            assert inside(run.q, shape, 0.1) < (5e-3 if method == "Moreau" else 1e-5)
+        assert run.q[-1, 2] > 0.07, (own, height, beside, run.message)

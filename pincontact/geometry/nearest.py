@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..contours import Contour, Ellipsoid, HeightField, Plane, Sphere
-from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE
+from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE, SINGULAR
 from ..workspace import Workspace
 from .carriers import ORIGIN
 from .cells import (
@@ -59,11 +59,13 @@ _SHARPEST = 0.9
 class Nearest:
     """What a search has found beside places that are taken. candidates: stationary points, the nearest first; distance:
     of any points of the contours, at least; elsewhere: of any points outside the first candidate's neighbourhood, at
-    least; in m."""
+    least; in m. is_around: bodies are inside each other, but have no stationary points there, or singular ones: they
+    have touched along a line."""
 
     candidates: list[Candidate]
     distance: float
     elsewhere: float
+    is_around: bool = False
 
     @property
     def candidate(self) -> Candidate | None:
@@ -73,13 +75,14 @@ class Nearest:
 
 class _Survey(NamedTuple):
     """Candidates, the nearest first, and cells: middles (n, 3) in the divided contour's frame, radii (n,), least
-    distances (n,) of their points; and how far it has been looked; in m."""
+    distances (n,) of their points; how far it has been looked, in m; and see `Nearest.is_around`."""
 
     found: list[Candidate]
     points: np.ndarray
     reaches: np.ndarray
     least: np.ndarray
     resolved: float
+    is_around: bool
 
 
 class Whole:
@@ -248,7 +251,7 @@ class NearestSearch:
 
         places = [pair[own] for pair in taken]
         elsewhere = beside([*places, *(one.points[own] for one in found[:1])])
-        return Nearest(found, beside(places), elsewhere)
+        return Nearest(found, beside(places), elsewhere, survey.is_around)
 
     def _look(self, t: float) -> _Survey:
         """All that a search finds, wherever other contacts are."""
@@ -275,8 +278,29 @@ class NearestSearch:
         starts = [(i, int(nearest[i])) for i in _lowest(points, distances, neighbourhood)]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
-        # what is farther than the last number has been left out
-        return _Survey(self._candidates(t, starts), points, reaches, least, float(distances.min()) + beyond)
+        found, are_singular = self._candidates(t, starts)
+        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._overlap(t, distances)
+        # what is farther than that has been left out
+        resolved = float(distances.min()) + beyond
+        return _Survey(found, points, reaches, least, resolved, is_around)
+
+    def _overlap(self, t: float, distances: np.ndarray) -> bool:
+        """Whether bodies are inside each other for certain, and not just beyond an end of the divided contour: a ball,
+        from whose surface its cells have these distances (n,), or samples that are below a graph."""
+        rotation, centre = self.pose()
+        if self.whole.rounding > 0.0:
+            i = int(np.argmin(distances))
+            depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
+        elif isinstance(self.divided, HeightField):
+            samples = (self.whole.points - self.whole.centre) @ rotation.T + centre
+            depths = self.divided.evaluate_many(samples[:, :2], t)[:, 0, 2] - samples[:, 2]
+            i = int(np.argmax(depths))
+            depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
+        else:
+            return False
+        ends = zip(place, margin, self.divided.domain, self.divided.periodic)
+        within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
+        return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""
@@ -309,9 +333,9 @@ class NearestSearch:
         order = highest[np.argsort(-distances[highest])]
         return [(int(nearest[i]), i) for i in spaced(samples, order, most, _STARTS)]
 
-    def _candidates(self, t: float, starts: list[tuple[int, int]]) -> list[Candidate]:
-        """Stationary points to which Newton's method leads, the nearest first. starts: cells and samples of the whole
-        contour."""
+    def _candidates(self, t: float, starts: list[tuple[int, int]]) -> tuple[list[Candidate], bool]:
+        """Stationary points to which Newton's method leads, the nearest first, and whether any are singular. starts:
+        cells and samples of the whole contour."""
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
         system, single, c, n = self.system, self._single, self.c, len(starts)
         single.q[:], single.v[:] = system.q, system.v
@@ -329,9 +353,10 @@ class NearestSearch:
             places[:, own] = self._facing(evaluated(self.divided, cells.feet[:n], t)[:, 0])
         side = int(system.contact_int[c, SIDE])
         sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
-        every, _ = stationary_points(single, t, places, [1] * n)
+        every, statuses = stationary_points(single, t, places, [1] * n)
         found = [one for one in every if one.side in sides]
-        return sorted(found, key=lambda one: float(np.linalg.norm(one.points[1] - one.points[0])))
+        found.sort(key=lambda one: float(np.linalg.norm(one.points[1] - one.points[0])))
+        return found, SINGULAR in statuses
 
     def _facing(self, points: np.ndarray) -> np.ndarray:
         """Parameters (n, 2) of the ball that is the whole contour at which it faces points (n, 3) in the divided one's

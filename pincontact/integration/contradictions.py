@@ -50,9 +50,9 @@ def jump_into(t: float, name: str) -> Stop:
     )
 
 
-def touch_elsewhere(t: float, name: str) -> Stop:
-    """The Stop where the bodies of this closed contact touch at a second place."""
-    code, reason = FAILURES[TOUCHES_TWICE]
+def touch_elsewhere(t: float, name: str, trouble: int = TOUCHES_TWICE) -> Stop:
+    """The Stop where the bodies of this contact touch, but not where a contact may be."""
+    code, reason = FAILURES[trouble]
     return Stop(code, f"t = {t:.9g} s: contact {name!r}: {reason}")
 
 

@@ -45,6 +45,7 @@ from .results import (
     FAILURES,
     FLIES_THROUGH,
     MOTION_JUMPS,
+    TOUCHES_AROUND,
     TOUCHES_TWICE,
     Stop,
 )
@@ -409,7 +410,7 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == CONTOUR_ENDS:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
-        elif status in (FLIES_THROUGH, TOUCHES_TWICE):
+        elif status in (FLIES_THROUGH, TOUCHES_TWICE, TOUCHES_AROUND):
             where = f"contact {system.contacts[self._open.where].name!r}: "
         elif status == MOTION_JUMPS:
             where = f"the bodies of contact {system.contacts[self._counts['jumped']].name!r} are moved "

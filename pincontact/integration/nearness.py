@@ -67,9 +67,10 @@ def places_of(system: System, contacts: list[int], c: int) -> list[np.ndarray]:
     return places
 
 
-def touching_order(gap: float, rate: float, h: float) -> tuple[float, float]:
-    """Before others is what will be inside, and deeper, after h; then what is nearer."""
-    return min(gap + h * rate, 0.0) if gap >= 0.0 else 0.0, abs(gap)
+def touching_order(gap: float, rate: float, h: float, slack: float) -> tuple[float, float]:
+    """Before others is what will be inside, and deeper, after h, but is not by more than the slack; then what is
+    nearer."""
+    return min(gap + h * rate, 0.0) if gap >= -slack else 0.0, abs(gap)
 
 
 class Nearness:
@@ -117,6 +118,8 @@ class Nearness:
         self.distance = self.elsewhere = -math.inf
         self.rotation: np.ndarray | None = None
         self.centre, self.time = np.zeros(3), t
+        # whether they touch, for all that the last search has found, along a line
+        self.touches_around = False
         # where it was on the divided contour as the last step began
         self.start = np.zeros(3)
         # gap and place that `follow` has left
@@ -209,7 +212,9 @@ class Nearness:
     def look(self, t: float) -> Nearest:
         """Search the nearest points at the evaluated state."""
         assert self.search is not None
-        return self.search.search(t, places_of(self.system, self.taken, self.c))
+        nearest = self.search.search(t, places_of(self.system, self.taken, self.c))
+        self.touches_around = nearest.is_around
+        return nearest
 
     def find(self, t: float) -> list[Candidate]:
         """The same; the distances that it finds are known from here on."""
@@ -219,9 +224,9 @@ class Nearness:
         self.distance, self.elsewhere = nearest.distance, nearest.elsewhere
         return nearest.candidates
 
-    def order(self, found: Candidate, t: float, h: float) -> tuple[float, float]:
+    def order(self, found: Candidate, t: float, h: float, slack: float) -> tuple[float, float]:
         """By which candidates at the evaluated state are compared, see `touching_order`."""
-        return touching_order(found.gap, self._gap_rate(found, t) if h > 0.0 else 0.0, h)
+        return touching_order(found.gap, self._gap_rate(found, t) if h > 0.0 else 0.0, h, slack)
 
     def _gap_rate(self, found: Candidate, t: float) -> float:
         """Rate in m/s of the gap at a candidate, at the evaluated state."""

@@ -34,7 +34,7 @@ from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
 from .nearness import Nearness, Place, of_same_contours, touching_order
-from .results import FLIES_THROUGH, TOUCHES_TWICE
+from .results import FLIES_THROUGH, TOUCHES_AROUND, TOUCHES_TWICE
 from .stages import load_state
 from .steps import BOUND_SPEEDS
 
@@ -160,9 +160,17 @@ class OpenContacts:
     def _search(self, t: float, known: Nearness) -> None:
         """Look for nearest points at the accepted state, which is evaluated."""
         if known.is_open:
-            self.find(t, known.c)
+            # of places that touch at the same time, as far as gaps are known, first that which is approached fastest
+            slack, speed = float(self.system.gap_accuracy[known.c]), self._speeds[known.c]
+            self.find(t, known.c, h=slack / speed if speed > 0.0 else 0.0, slack=slack)
+            self._refuse_around(t, known)
         elif known.enters(t) is not None:
             raise touch_elsewhere(t, known.contact.name)
+
+    @staticmethod
+    def _refuse_around(t: float, known: Nearness) -> None:
+        if known.touches_around:
+            raise touch_elsewhere(t, known.contact.name, TOUCHES_AROUND)
 
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
@@ -199,6 +207,9 @@ class OpenContacts:
                     # what steps end with is before the last correction of gaps
                     self.system.evaluate_kinematics(t)
                     found = self.find(t, c, way, h)
+                    if known.touches_around:
+                        self.trouble, self.where = TOUCHES_AROUND, c
+                        return 0
                     if found is not None:
                         # it has not been elsewhere longer than in the last step
                         self.apart[c] = found.gap > -_DEEPER * way
@@ -302,7 +313,9 @@ class OpenContacts:
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
                 # of places that touch at the same time, as far as gaps are known, any will do
                 known_to = -float(system.gap_accuracy[c])
-                inside = (found for found in known.look(t).candidates if -_DEEPER * way < found.gap < known_to)
+                candidates = known.look(t).candidates
+                self._refuse_around(t, known)
+                inside = (found for found in candidates if -_DEEPER * way < found.gap < known_to)
                 if any(not (self._is_present(c, found) and known.is_near(found)) for found in inside):
                     # which was not followed there, or from far away
                     self._cut = 0.5 * step
@@ -344,21 +357,20 @@ class OpenContacts:
 
     # ---------------------------------------------------------------- nearest points
 
-    def find(self, t: float, c: int, entered: float = 0.0, h: float = 0.0) -> Candidate | None:
+    def find(self, t: float, c: int, entered: float = 0.0, h: float = 0.0, slack: float = 0.0) -> Candidate | None:
         """Look for the nearest points of contact c at the evaluated state; None where they are not others than before,
         which are then in `system.state`. entered: by how much in m bodies may have got inside each other; where they
-        have, or will have within h, is nearest."""
+        have, or will have within h, is nearest; slack: by how much they may be, and it is yet to come, in m."""
         system, known = self.system, self._nearness(c, t)
         candidates, gap = known.find(t), float(system.gaps[c, 0])
         inside = [found for found in candidates if -entered < found.gap < 0.0]
         if inside:
-            found = min(inside, key=lambda each: each.gap)
-        else:
-            found = min(candidates, key=lambda each: known.order(each, t, h), default=None)
+            candidates = [min(inside, key=lambda each: each.gap)]
+        found = min(candidates, key=lambda each: known.order(each, t, h, slack), default=None)
         if found is None or self._is_present(c, found):
             return None
-        followed = not inside and system.contact_real[c, DOMAIN] >= 0.0 and gap >= 0.0
-        if followed and touching_order(gap, gap_rate(system, c), h) <= known.order(found, t, h):
+        followed = not inside and system.contact_real[c, DOMAIN] >= 0.0 and gap >= -slack
+        if followed and touching_order(gap, gap_rate(system, c), h, slack) <= known.order(found, t, h, slack):
             # where it is followed comes before what was found
             return None
         self._put(c, (found.location, found.branch, found.determinant_sign, found.charts))

@@ -28,6 +28,7 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
 # through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a jump.
 CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS = 50, 51, 52, 53, 54, 55
+TOUCHES_AROUND = 56
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -41,6 +42,11 @@ FAILURES = {
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
     MOTION_JUMPS: (STEP_TOO_SMALL, "at once: a motion jumps by more than its velocities in the step explain"),
     FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
+    TOUCHES_AROUND: (
+        SINGULAR_CONTACT,
+        "the bodies touch along a line or a circle, as on an axis of symmetry, and not at a point: they start or move "
+        "too symmetrically",
+    ),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,
         "the bodies touch at a second place: declare another contact of these two contours, which starts open",

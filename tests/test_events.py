@@ -9,6 +9,7 @@ from reference import build
 
 import pincontact as pc
 from pincontact.integration.crossings import ENDS
+from pincontact.integration.dense import Interpolant
 from pincontact.integration.discrete import write_discrete
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
@@ -390,7 +391,8 @@ def test_looks_find_what_evaluations_find():
     assert rk.evaluate_start(0.0) <= EVENT
     step = 0.03
     assert rk.attempt(0.0, step) == OK
-    dense = rk.interpolant(0.0, step)
+    assert rk.interpolate(0.0, step)
+    dense = Interpolant(rk.system)
     shares = [0.0, 0.1, 0.35, 0.8, 1.0]
     beyond = []
     for share in shares:

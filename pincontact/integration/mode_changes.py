@@ -259,7 +259,7 @@ class ModeChanges:
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
         one."""
-        if not self._choose_others(t, c, kind) or self._is_limited(c, kind):
+        if self.rk.evaluate(t) > EVENT or not self.redistribute_within(t, c, kind):
             return False
         self.project(t)
         self.rk.accept()
@@ -286,19 +286,14 @@ class ModeChanges:
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
-        """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""
-        return self._choose_others(t, c, kind) and not self._is_limited(c, kind)
-
-    def _choose_others(self, t: float, c: int, kind: int) -> bool:
-        """Choose other ones among redundant forces; see `redistribute`."""
+        """The same of the last evaluation, within a step, for forces that move nothing. Those that leave an item at its
+        limit stay chosen."""
         system = self.system
-        if self.rk.evaluate(t) > EVENT:
-            return False
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
         if system.event_functions[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
         ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
-        return self.modes.redistribute(t, self.rk.evaluate, ended)
+        return self.modes.redistribute(t, self.rk.evaluate, ended) and not self._is_limited(c, kind)
 
     def _is_limited(self, c: int, kind: int) -> bool:
         """Whether the last choice leaves item c at its limit, to the relative tolerance."""

@@ -9,12 +9,13 @@ from reference import build
 
 import pincontact as pc
 from pincontact.integration.crossings import ENDS
+from pincontact.integration.dense import Interpolant
 from pincontact.integration.discrete import write_discrete
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.steps import FIND_EARLIEST, FIND_ZERO, LOOK, SCAN_ON
 from pincontact.integration.tableaux import tableau
-from pincontact.layout import DOMAIN, EVENT, OK
+from pincontact.layout import DOMAIN, EVENT, OK, SCAN_ROOM
 
 G = 9.81
 RADIUS = 0.1
@@ -390,7 +391,8 @@ def test_looks_find_what_evaluations_find():
     assert rk.evaluate_start(0.0) <= EVENT
     step = 0.03
     assert rk.attempt(0.0, step) == OK
-    dense = rk.interpolant(0.0, step)
+    assert rk.interpolate(0.0, step)
+    dense = Interpolant(rk.system)
     shares = [0.0, 0.1, 0.35, 0.8, 1.0]
     beyond = []
     for share in shares:
@@ -404,6 +406,23 @@ def test_looks_find_what_evaluations_find():
         assert found.tobytes() == system.event_functions[:2].tobytes()
     # the ball leaves the strip's end behind
     assert beyond == [False, False, False, True, True]
+
+    # a scan begins with the step's first stage, or with what has been evaluated last
+    places = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.6, 0.8, 1.0])
+    for first in (0.0, 0.03):
+        looked = [system.look(0.0, step, first)[1].copy()]
+        if first == 0.0:
+            system.look(0.0, step, 0.5)
+        system.scan_shares[:SCAN_ROOM] = shares = first + (1.0 - first) * places
+        evaluated, system.counters["scan_count"] = rk.evaluations, 0
+        system.run(SCAN_ON, 0.0, step)
+        n = int(system.counters["scan_count"])
+        # the end of the whole step is known, too
+        assert n == SCAN_ROOM and rk.evaluations - evaluated == n - (2 if first == 0.0 else 1)
+        samples = system.scan_event_functions[:n, :2].copy()
+        looked += [system.look(0.0, step, share)[1].copy() for share in shares[1:n].tolist()]
+        # Newton's method for the contact coordinates begins elsewhere
+        np.testing.assert_allclose(samples, looked, rtol=1e-12, atol=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------- ends of contours

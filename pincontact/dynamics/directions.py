@@ -14,17 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import (
-    ACROSS_X,
     DIRECTION_X,
     EVENT,
     FROZEN,
+    FROZEN_COLUMNS,
     MODE,
-    POLYNOMIAL,
     POLYNOMIAL_SIZE,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
-    SPAN,
     START,
     TANGENTS,
 )
@@ -72,11 +70,11 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
     size = math.hypot(along, aside)
     along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
     tangents = list(zip(*system.basis[c, :2].tolist()))
-    numbers[DIRECTION_X : DIRECTION_X + 3] = [along * first + aside * second for first, second in tangents]
+    forward = [along * first + aside * second for first, second in tangents]
     # n x (a t1 + b second), since n x t1 is the second tangent
-    numbers[ACROSS_X : ACROSS_X + 3] = [along * second - aside * first for first, second in tangents]
-    numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-    numbers[START], numbers[SPAN] = 0.0, 1.0
+    across = [along * second - aside * first for first, second in tangents]
+    # START, SPAN, DIRECTION, ACROSS, POLYNOMIAL
+    numbers[START : START + FROZEN_COLUMNS] = [0.0, 1.0, *forward, *across, *[0.0] * POLYNOMIAL_SIZE]
     integers[FROZEN] = 1
 
 

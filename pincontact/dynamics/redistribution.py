@@ -62,10 +62,10 @@ _MOVES = 1e-6
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
     some slide while others stick, joints are held, or torques resist turning."""
-    count = int(system.counters["row_count"])
-    if count == system.counters["row_rank"]:
+    count, modes = int(system.counters["row_count"]), system.contact_int[:, MODE].tolist()
+    if count == system.counters["row_rank"] or SLIPPING not in modes:
         return False
-    modes, mu = system.contact_int[:, MODE].tolist(), system.contact_real[:, MU].tolist()
+    mu = system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()
     slides = any(modes[i] == SLIPPING and mu[i] > 0.0 for i in [*closed, *resisting])
     if not slides or not (resisting or system.held() or any(modes[c] == STICK and mu[c] > 0.0 for c in closed)):

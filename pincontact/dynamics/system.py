@@ -410,7 +410,7 @@ class System(Workspace):
         """A system of contact c only."""
         return System(self.model, [self.contacts[c]])
 
-    @property
+    @cached_property
     def modes(self) -> np.ndarray:
         """(nc,) view of the contacts' modes."""
         return self.contact_int[: self.nc, MODE]

@@ -181,8 +181,8 @@ class ContactProblem:
     @property
     def is_cone(self) -> bool:
         """Whether it is a cone problem: every disc's radius is a multiple of its unit's normal force, or constant."""
-        lone = (self.normal == 0.0) & (self.tangents > 0.0)
-        return not self.slides and not self.lifted and int(lone.sum()) == len(self.radii)
+        lone = sum(n == 0.0 and t > 0.0 for n, t in zip(self.normal.tolist(), self.tangents.tolist()))
+        return not self.slides and not self.lifted and lone == len(self.radii)
 
     def cone_problem(self, base: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The cone problem with this base in which units without normal force have radii (n,): a force of their own
@@ -260,12 +260,11 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A missing row becomes an isolated one as heavy as the unit's real ones, since the solver scales by their mean.
     """
     gram = _products(stack)
-    diagonal = gram.diagonal().copy()
-    if all(diagonal.tolist()):
-        return gram, np.zeros(diagonal.size)
-    largest = np.repeat([max(unit) or 1.0 for unit in diagonal.reshape(-1, 3).tolist()], 3)
-    weights = np.where(diagonal == 0.0, largest, 0.0)
-    gram.flat[:: len(gram) + 1] += weights
+    diagonal, weights = gram.diagonal().tolist(), np.zeros(len(gram))
+    for i, own in enumerate(diagonal):
+        if own == 0.0:
+            first = i - i % 3
+            gram[i, i] = weights[i] = max(diagonal[first : first + 3]) or 1.0
     return gram, weights
 
 

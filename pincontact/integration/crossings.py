@@ -132,10 +132,14 @@ def scan_on(system, t, h):
     counters, shares, samples = system.counters, system.scan_shares, system.scan_event_functions
     met, last, i = 0, SCAN_ROOM, counters.scan_count
     while i < last:
-        if shares[i] == 1.0 and shares[0] == 0.0:
-            # the step's last stage, whose forces are chosen as at its start
+        if shares[0] == 0.0 and (i == 0 or shares[i] == 1.0):
+            # the step's first or last stage, whose forces are chosen alike
             system.scan_status[i] = OK
-            _take(system, samples[SCAN_ROOM + system.sizes.nstages], i)
+            _take(system, samples[SCAN_ROOM + (0 if i == 0 else system.sizes.nstages)], i)
+        elif i == 0:
+            # where forces have been chosen anew, in the last evaluation
+            system.scan_status[0] = OK
+            _take(system, system.event_functions, 0)
         else:
             _look(system, t, h, shares[i], i)
         if system.scan_status[i] > EVENT:

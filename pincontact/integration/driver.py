@@ -337,28 +337,27 @@ class Driver:
     def _complete(self, t: float, step: float, t_new: float) -> tuple[float, bool]:
         """Events, outputs and commitment of the trial step; returns the new time and whether modes changed."""
         rk, system = self.rk, self.system
-        dense: Interpolant | None = None
         opened = self.transitions.open
         if opened.is_near and not opened.may_stand(t_new, step):
             self._unmake()
             return t, False
         asked = self.users.may_cross(t, step)
-        if rk.alarm or asked or opened.is_near or self.outputs.need_dense(t_new):
-            dense = rk.interpolant(t, step)
-            if dense is None:
+        interpolated = rk.alarm or asked or opened.is_near or self.outputs.need_dense(t_new)
+        if interpolated:
+            if not rk.interpolate(t, step):
                 return self._reject(t, step)
             crossing = self.locator.first(t, step) if rk.alarm else None
             rests = crossing is not None and not asked and self.transitions.changes.rests_on_redundant()
-            while rests and crossing is not None and self._keeps_motion(t, step, dense, crossing):
+            while rests and crossing is not None and self._keeps_motion(t, step, crossing):
                 crossing = self.locator.first(t, step, crossing.theta)
             if asked:
-                self._announce_user_events(t, step, dense, math.inf if crossing is None else crossing.theta)
+                self._announce_user_events(t, step, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
                 return self._change_modes(t, step, crossing, rests)
             if self.outputs.due(t_new):
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
-        closes = rk.project(t_new, dense is None, rk.error)
+        closes = rk.project(t_new, not interpolated, rk.error)
         self.outputs.keep(t, t_new, step)
         if not closes:
             return self._give_way(t_new, system.new_state, step), True
@@ -367,7 +366,7 @@ class Driver:
         self._doubts = 0
         return t_new, False
 
-    def _keeps_motion(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> bool:
+    def _keeps_motion(self, t: float, step: float, crossing: Crossing) -> bool:
         """Whether other ones among redundant forces, which move nothing, keep all modes beyond a crossing in the trial
         step. The step stays as it is then: its motion does not depend on when forces are chosen, as long as there are
         some at any time, so that dense output is accurate enough for that."""
@@ -376,8 +375,8 @@ class Driver:
             return False
         self._write_before(time)
         self.outputs.keep(t, time, step)
-        self.rk.load(dense(crossing.theta))
-        if self.transitions.changes.redistribute_within(time, crossing.c, crossing.kind):
+        exists, _ = self.system.look(t, step, crossing.theta)
+        if exists and self.transitions.changes.redistribute_within(time, crossing.c, crossing.kind):
             return True
         self.outputs.drop()
         return False
@@ -447,9 +446,10 @@ class Driver:
             self.transitions.joints.watch(stepped)
         self.transitions.note_sides(scanned)
 
-    def _announce_user_events(self, t: float, step: float, dense: Interpolant, until: float) -> None:
+    def _announce_user_events(self, t: float, step: float, until: float) -> None:
         """The zeros of the user's functions in the trial step before the fraction `until`; a terminal one raises Stop,
         after a step to it."""
+        dense = Interpolant(self.system)
         for theta, user in self.users.crossings(t, step, dense):
             if theta >= until:
                 return
@@ -506,7 +506,7 @@ class Driver:
             return
         new_state, error = self.system.new_state.copy(), self.rk.error
         for size in (taken, step):
-            if self.rk.attempt(t, size) == OK and self.rk.interpolant(t, size) is not None:
+            if self.rk.attempt(t, size) == OK and self.rk.interpolate(t, size):
                 break
         else:
             raise no_dense_output(t)

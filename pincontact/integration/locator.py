@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +62,7 @@ _NEXT_TO_NOTHING = 1e-6
 _SPEED_ROUND_OFF = 1e-15
 
 
-@dataclass(frozen=True)
-class Crossing:
+class Crossing(NamedTuple):
     """A sign change at a fraction theta of the step: of event function `kind` of item c; value: what that is there,
     plus what it may be below zero."""
 

@@ -126,7 +126,7 @@ class ModeChanges:
         system, ending = self.system, self._joints_at_rest()
         at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
         self._hold(ending)
-        before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
+        before, signs = system.contact_int[:, MODE].tolist(), system.contact_int[:, SLIP_SIGN].tolist()
         self.resolve_modes(t, undecided, beyond)
         self.project(t, True, explained)
         # what comes to rest may hold more
@@ -137,8 +137,9 @@ class ModeChanges:
             self.resolve_modes(t, self.sticking(), beyond)
             self.project(t, True, explained)
         self.rk.accept()
+        after = system.contact_int[:, MODE].tolist()
         for c in [*range(system.nc), *system.resisting()]:
-            mode = int(system.contact_int[c, MODE])
+            mode = after[c]
             if mode == FREE and before[c] != FREE:
                 self.reports.announce(t, c, "separate")
             elif silent:
@@ -163,16 +164,17 @@ class ModeChanges:
                 found.append(system.nc + g)
         return found
 
-    def _stopped(self, t: float, before: np.ndarray) -> list[int]:
+    def _stopped(self, t: float, before: list[int]) -> list[int]:
         """What moves in these modes, but is at rest: items that slid till now, and which others keep from it, and what
         has begun to slip beside them. Empty without the former.
 
         Bodies do not turn at one contact whose others stick, and coupled joints stop together.
         """
         system = self.system
-        slid, integers, mu = before == SLIPPING, system.contact_int, system.contact_real[:, MU].tolist()
-        slid[system.nc : system.nc + system.ng] = before[system.nc : system.nc + system.ng] == FREE
-        moving = [i for i in np.flatnonzero(integers[:, MODE] == SLIPPING).tolist() if mu[i] < math.inf]
+        integers, joints = system.contact_int, range(system.nc, system.nc + system.ng)
+        slid = [mode == (FREE if i in joints else SLIPPING) for i, mode in enumerate(before)]
+        moving = [i for i, mode in enumerate(integers[:, MODE].tolist()) if mode == SLIPPING]
+        moving = [i for i in moving if system.contact_real[i, MU] < math.inf]
         sliding = [i for i in moving if not (integers[i, FROZEN] and slid[i])]
         sliding += [system.nc + g for g, limit in enumerate(system.limits) if limit.dry and self.joints.is_free(g)]
         if not any(slid[i] for i in sliding):
@@ -204,8 +206,8 @@ class ModeChanges:
         system, integers, tangents = self.system, self.system.contact_int[c], self.system.basis[c, :2]
         if integers[TANGENTS] == 1:
             return float(integers[SLIP_SIGN]) * tangents[0]
-        frozen = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
-        along = tangents @ (frozen if integers[FROZEN] else system.slip[c])
+        frozen = integers[FROZEN] != 0
+        along = tangents @ (system.contact_real[c, DIRECTION_X : DIRECTION_X + 3] if frozen else system.slip[c])
         speed = math.hypot(*along.tolist())
         return along @ tangents / speed if speed > 0.0 else np.zeros(3)
 
@@ -257,7 +259,7 @@ class ModeChanges:
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
         one."""
-        if not self._choose_others(t, c, kind) or self._is_limited(c, kind):
+        if self.rk.evaluate(t) > EVENT or not self.redistribute_within(t, c, kind):
             return False
         self.project(t)
         self.rk.accept()
@@ -284,19 +286,14 @@ class ModeChanges:
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
-        """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""
-        return self._choose_others(t, c, kind) and not self._is_limited(c, kind)
-
-    def _choose_others(self, t: float, c: int, kind: int) -> bool:
-        """Choose other ones among redundant forces; see `redistribute`."""
+        """The same of the last evaluation, within a step, for forces that move nothing. Those that leave an item at its
+        limit stay chosen."""
         system = self.system
-        if self.rk.evaluate(t) > EVENT:
-            return False
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
         if system.event_functions[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
         ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
-        return self.modes.redistribute(t, self.rk.evaluate, ended)
+        return self.modes.redistribute(t, self.rk.evaluate, ended) and not self._is_limited(c, kind)
 
     def _is_limited(self, c: int, kind: int) -> bool:
         """Whether the last choice leaves item c at its limit, to the relative tolerance."""

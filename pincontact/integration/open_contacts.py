@@ -324,8 +324,8 @@ class OpenContacts:
 
     def may_go_over(self) -> bool:
         """Whether Newton's method may have left the nearest points of an open contact for other stationary points."""
-        free = self.system.modes == FREE
-        return bool((free & (self.system.contact_int[: self.system.nc, CLOSED_FORM] == NO_CLOSED_FORM)).any())
+        forms = self.system.contact_int[:, CLOSED_FORM].tolist()
+        return any(mode == FREE and form == NO_CLOSED_FORM for mode, form in zip(self.system.modes.tolist(), forms))
 
     def are_plain(self) -> bool:
         """Whether all that is watched is such that compiled steps can tell how long it stays apart."""

@@ -90,7 +90,7 @@ class Outputs:
     def write_short_step(self, t: float, step: float) -> None:
         """Write the output times in the last trial step, from t, whatever its size in s."""
         if self.need_dense(t + step):
-            if self.rk.interpolant(t, step) is None:
+            if not self.rk.interpolate(t, step):
                 raise no_dense_output(t)
             self.write_until(t + step)
             self.keep(t, t + step, step)

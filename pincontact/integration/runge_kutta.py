@@ -11,7 +11,6 @@ from ..layout import (
     OK,
 )
 from .accuracy import set_accuracy
-from .dense import Interpolant
 from .stages import load_state
 from .steps import ACCEPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START, TRIAL_STEP
 from .tableaux import Tableau
@@ -88,11 +87,9 @@ class RungeKutta:
         """What follows every accepted state (see `steps.finish_step`); returns a status."""
         return self.system.run(FINISH_STEP, t)
 
-    def interpolant(self, t: float, h: float) -> Interpolant | None:
-        """Dense output of the trial step; needs the extra stages of the method. None if one of them fails."""
-        if self.system.run(INTERPOLATION_STAGES, t, h) > EVENT:
-            return None
-        return Interpolant(self.system)
+    def interpolate(self, t: float, h: float) -> bool:
+        """Dense output of the trial step, by the extra stages of the method; False if one of them fails."""
+        return self.system.run(INTERPOLATION_STAGES, t, h) <= EVENT
 
     def cubic(self, h: float) -> Callable[[float], np.ndarray]:
         """State at a fraction theta of the trial step of size h, from the slopes at both ends alone."""

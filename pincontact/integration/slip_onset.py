@@ -352,8 +352,8 @@ class SlipOnset:
     def _turning(self) -> list[int]:
         """What slides in a direction that it may change."""
         system = self.system
-        sliding = system.contact_real[: system.items, START_SPEED] < math.inf
-        return [c for c in np.flatnonzero(sliding).tolist() if system.contact_int[c, MODE] == SLIPPING]
+        sliding = [c for c, mode in enumerate(system.contact_int[:, MODE].tolist()) if mode == SLIPPING]
+        return [c for c in sliding if system.contact_real.item(c, START_SPEED) < math.inf]
 
     def _end(self, t: float, tau: float, state: np.ndarray) -> float:
         """Accept the state after a step of size tau; slip has a direction of its own from there on."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ..layout import MODE, START_RATE, START_SPEED, START_TOLERANCE, STICK, STOP_ERROR
+from ..layout import MODE, START_SPEED, STICK, STOP_ERROR
 from .accuracy import slip_is_ending
 from .outputs import Outputs
 from .runge_kutta import RungeKutta
@@ -72,8 +72,8 @@ class SlipSteps:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not; the new
         time. allow_start: see `Driver`."""
         rk, system, scalars = self.rk, self.system, self.system.scalars
-        columns = system.contact_real[:, [START_SPEED, START_RATE, START_TOLERANCE, STOP_ERROR]].tolist()
-        slips = {i: column for i, column in enumerate(columns) if column[0] < math.inf}
+        columns = system.contact_real[:, START_SPEED : STOP_ERROR + 1].tolist()
+        slips = {i: (*column[:3], column[-1]) for i, column in enumerate(columns) if column[0] < math.inf}
         stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
         straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
         c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])

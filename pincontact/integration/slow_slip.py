@@ -10,9 +10,7 @@ component across it (collocation).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -66,7 +64,6 @@ _STOP_FRACTION = 0.8
 _DIVERGED = 3.0
 
 
-@dataclass(frozen=True)
 class SlowSlip:
     """Slip with prescribed directions, from the accepted state at t on.
 
@@ -75,15 +72,13 @@ class SlowSlip:
     interpolated, in which nothing else happens, 1 where that is all of it.
     """
 
-    rk: RungeKutta
-    t: float
-    powers: dict[int, int]
-    until_event: Callable[[float, float], float]
-
-    @cached_property
-    def contacts(self) -> list[int]:
-        """The contacts, in order."""
-        return list(self.powers)
+    def __init__(
+        self, rk: RungeKutta, t: float, powers: dict[int, int], until_event: Callable[[float, float], float]
+    ) -> None:
+        self.rk, self.t, self.powers, self.until_event = rk, t, powers, until_event
+        self.contacts = list(powers)
+        # (contacts, shares) of the largest v_c, as slips grow with their powers of the time
+        self._growth = _SHARES[1:] ** np.array([*powers.values()])[:, None]
 
     def follow(self, span: float, shortest: float) -> float | None:
         """Move the accepted state on; returns how long in s that took, None if it failed.
@@ -100,9 +95,7 @@ class SlowSlip:
         tolerance *= _ACCEPTED
         grown = self._grown(tolerance)
         while tries > 0 and span >= shortest:
-            for c in self.contacts:
-                numbers = system.contact_real[c]
-                numbers[START], numbers[SPAN] = self.t, span
+            system.contact_real[self.contacts, START : SPAN + 1] = self.t, span
             part = self._collocate(span, tolerance, grown, coefficients)
             if part < 1.0:
                 tries -= 1
@@ -171,9 +164,13 @@ class SlowSlip:
     def _until_end(self, along: np.ndarray, tolerance: float, grown: np.ndarray) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
         faster than the tolerance, the others have to grow. 1 where that is all of it."""
-        part = 1.0 if along[grown].min(initial=math.inf) > 0.0 else SHORTER
-        for m in np.flatnonzero(~grown).tolist():
-            left = np.array([self.rk.system.contact_real[self.contacts[m], START_SPEED], *along[m]]) - tolerance
+        part = 1.0
+        for m, speeds in enumerate(along.tolist()):
+            if grown[m]:
+                part = part if min(speeds) > 0.0 else min(part, SHORTER)
+                continue
+            start = self.rk.system.contact_real.item(self.contacts[m], START_SPEED)
+            left = [speed - tolerance for speed in (start, *speeds)]
             before = 0
             for after in _IN_ORDER:
                 if left[after] <= 0.0:
@@ -226,20 +223,13 @@ class SlowSlip:
     def _across(self, span: float, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(contacts, shares) v_c across and along the prescribed directions at the nodes and then between them, divided
         by the shares' powers."""
-        system, contacts = self.rk.system, np.array(self.contacts)
-        for c, numbers in zip(self.contacts, coefficients):
-            system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = numbers
+        system, contacts = self.rk.system, self.contacts
+        system.contact_real[contacts, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = coefficients
         system.across[0] = _SHARES[1:]
         if system.run(ACROSS_SLIP, self.t, span) > EVENT:
             return None
-        across, along = (system.across[first + contacts] / self._growth for first in (1, 1 + system.items))
-        return across, along
-
-    @cached_property
-    def _growth(self) -> np.ndarray:
-        """(contacts, shares) of the largest v_c, as slips grow with their powers of the time."""
-        growth: np.ndarray = _SHARES[1:] ** np.array([*self.powers.values()])[:, None]
-        return growth
+        n = system.items + 1
+        return system.across[1:n][contacts] / self._growth, system.across[n:][contacts] / self._growth
 
 
 @array_entry(REAL[:, ::1], REAL[:, ::1], BOOLEAN[::1], REAL, REAL, INTEGER)

@@ -301,7 +301,7 @@ class Transitions:
         for c in ended:
             self.reports.check_chatter(t, c)
         self.system.contact_int[list(ended), MODE] = STICK
-        ideal = np.isinf(self.system.contact_real[list(ended), MU]).any()
+        ideal = any(math.isinf(self.system.contact_real.item(c, MU)) for c in ended)
         # what is left of v_c is no start of a slip in another direction, in which it may take another force
         if ideal and not self.rk.project(t, False):
             # other slips that are as good as over leave no forces

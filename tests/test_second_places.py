@@ -223,6 +223,20 @@ def test_shapes_that_touch_once(shape, ground, q, side, once):
     assert ask(shape, ground, q, side) == once
 
 
+@pytest.mark.parametrize(
+    ("f", "once"),
+    [
+        (lambda u, v: (u + v, v, 0.1 - 0.2 * u), True),
+        # no samples would show that it is not flat
+        (lambda u, v: (u, v, 0.01 * np.exp(-1e6 * (u - 3.0) ** 2)), False),
+        (lambda u, v: (u, v, 1e-3 * u * v), False),
+    ],
+)
+def test_planes_that_are_formulas(f, once):
+    ground = pc.ParametricSurface(f, ((-math.inf, math.inf), (-math.inf, math.inf)))
+    assert ask(pc.Circle(0.3), ground, UPRIGHT) == once
+
+
 def test_nothing_is_watched_where_bodies_touch_once():
     for radius in (0.05, 0.2):
         scene = scene_of(pc.Sphere(radius))

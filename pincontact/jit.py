@@ -85,9 +85,10 @@ def source_hash(file: str) -> str:
         new = [path for path in _read(waiting.pop())[1] if path not in reached]
         reached.update(new)
         waiting += new
-    # numba keeps machine code by the path of its source and the time of its last change: another copy of the package is
-    # another cache, and one that was installed again
-    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED} {os.stat(file).st_mtime_ns}".encode())
+    # numba keeps machine code by the path of its source, and before 0.68 by the time of its last change: another copy
+    # of the package is another cache, and so was one that was installed again
+    changed = 0 if numba.version_info.short >= (0, 68) else os.stat(file).st_mtime_ns
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED} {changed}".encode())
     for path in sorted(reached):
         digest.update(_read(path)[0])
     return digest.hexdigest()[:16]
@@ -282,13 +283,14 @@ BOOLEAN = types.boolean
 NOTHING = types.none
 
 
-def compile_kernels(several: bool = False, stepping: bool = False) -> None:
+def compile_kernels(several: bool = False, stepping: bool = False, called: bool = False) -> None:
     """Compile kernels that have no machine code on disk yet, with one line to the user.
 
     Done before the first scene runs, in several processes; later ones load from disk what they use, when they use it.
-    several, stepping: those for several contacts and for time stepping, too.
+    several, stepping, called: those for several contacts, for time stepping, and those that few scenes call, too; of
+    the modules that are imported.
     """
-    asked = {SEVERAL: several, STEPPING: stepping}
+    asked = {SEVERAL: several, STEPPING: stepping, CALLED: called}
     needed = (ALWAYS, *(when for when, wanted in asked.items() if wanted))
     if numba.config.DISABLE_JIT or _complete.get(needed) == len(ENTRIES):
         return

@@ -11,9 +11,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        # time stepping is imported when it is first used, and registers its kernels then
+        import pincontact.integration.moreau  # noqa: F401
         from pincontact.jit import compile_kernels
 
-        compile_kernels(several=True, stepping=True)
+        compile_kernels(several=True, stepping=True, called=True)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

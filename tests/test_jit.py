@@ -124,5 +124,6 @@ def test_the_key_follows_all_that_a_file_imports(tmp_path):
         after = keys()
         assert [new != old for new, old in zip(after, before)] == follows, name
         before = after
+    # one that is installed again as it was
     os.utime(tmp_path / "one/first.py", ns=(1, 1))
-    assert [new != old for new, old in zip(keys(), before)] == [True, False]
+    assert [new != old for new, old in zip(keys(), before)] == [numba.version_info.short < (0, 68), False]

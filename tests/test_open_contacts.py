@@ -87,10 +87,10 @@ def wave_gap(x, z, radius):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("radius", [0.0, 0.05])
 @pytest.mark.parametrize("domain", [None, ((-5.0, 5.0), (-5.0, 5.0))])
-@pytest.mark.parametrize("order", [("shape", "ground"), ("ground", "shape")], ids=lambda order: order[0])
-def test_drops_on_waves(method, radius, domain, order):
-    """From 0.6 m, over five places of the waves, from where other places are near at first."""
-    for x in np.linspace(0.01, 0.49, 5):
+def test_drops_on_waves(method, radius, domain):
+    """From 0.6 m, over five places of the waves, from where others are near at first; contours in either order."""
+    for i, x in enumerate(np.linspace(0.01, 0.49, 5)):
+        order = ("shape", "ground") if i % 2 else ("ground", "shape")
         scene = scene_of(pc.Sphere(radius) if radius else pc.Point(), waves(domain), order=order)
         run = run_of(scene, start(scene, (x, 0.0, 0.6)), 0.45, method)
         assert run.status == 0, run.message
@@ -566,7 +566,7 @@ def test_starts_inside(depth, speed, told, options):
     assert run.q[-1, 0] == pytest.approx(fallen if told else radius, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_starts_slightly_inside_touch_in_every_method(seed):
     """At rest by up to 4 mm, where they come in, by up to 0.1 mm. What rested deeper than 1e-6 of the length fell."""
     rng = np.random.default_rng(seed)

@@ -54,7 +54,7 @@ def resting_place():
     return float(centre[i]), math.asin(across[i] / RADIUS)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize(("shape", "mu"), [(SHAPES[0], 0.0), (SHAPES[1], 0.6)], ids=["ball", "ring"])
 def test_a_second_place_is_told(shape, mu, method):
     """A disk goes down a wave into a trough that is narrower; what the run has is right, whenever it is to end."""
@@ -223,6 +223,20 @@ def test_shapes_that_touch_once(shape, ground, q, side, once):
     assert ask(shape, ground, q, side) == once
 
 
+@pytest.mark.parametrize(
+    ("f", "once"),
+    [
+        (lambda u, v: (u + v, v, 0.1 - 0.2 * u), True),
+        # no samples would show that it is not flat
+        (lambda u, v: (u, v, 0.01 * np.exp(-1e6 * (u - 3.0) ** 2)), False),
+        (lambda u, v: (u, v, 1e-3 * u * v), False),
+    ],
+)
+def test_planes_that_are_formulas(f, once):
+    ground = pc.ParametricSurface(f, ((-math.inf, math.inf), (-math.inf, math.inf)))
+    assert ask(pc.Circle(0.3), ground, UPRIGHT) == once
+
+
 def test_nothing_is_watched_where_bodies_touch_once():
     for radius in (0.05, 0.2):
         scene = scene_of(pc.Sphere(radius))
@@ -324,7 +338,7 @@ def inside(states, shape, radius):
     return deepest
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize("kind", ["trench", "ridge", "step"])
 def test_points_over_narrow_places(kind, method):
     """Thrown along grounds with and without ends."""
@@ -345,7 +359,7 @@ def test_points_over_narrow_places(kind, method):
         assert below.max() < (1e-3 if method == "Moreau" else 1e-6), seed
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize("kind", ["trench", "pit", "ridge", "bump", "step"])
 def test_balls_over_narrow_places(kind, method):
     """Thrown along a flat ground at places narrower than they are, which few samples of all of it show."""

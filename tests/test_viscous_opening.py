@@ -90,7 +90,7 @@ def skid_that_opens(case):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45"])
-@pytest.mark.parametrize("case", range(12))
+@pytest.mark.parametrize("case", range(6))
 def test_a_part_of_the_friction_keeps_it_closed(case, method):
     """Against the same equations in three coordinates, with the share of the friction that keeps the point closed."""
     scene, state, load, numbers, exact = skid_that_opens(case)

@@ -15,6 +15,7 @@ complementarity at acceleration level. They are resolved in this order:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,7 +68,12 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         self.worst_residual = 0.0
 
     def resolve_modes(
-        self, t: float, undecided: list[int], evaluate, beyond: int | None = None, status: int | None = None
+        self,
+        t: float,
+        undecided: list[int],
+        evaluate: Callable[[float], int],
+        beyond: int | None = None,
+        status: int | None = None,
     ) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
@@ -113,7 +119,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
 
-    def _let_joints_go(self, t: float, evaluate) -> int:
+    def _let_joints_go(self, t: float, evaluate: Callable[[float], int]) -> int:
         """Let held joint coordinates go, one after the other, whose forces exceed their bounds; the status, if no
         contact has to change then. Otherwise modes are what they were, and evaluated.
 
@@ -137,7 +143,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return NO_FORCE
 
-    def _solve(self, t: float, evaluate, passing: dict[int, float]) -> Decision:
+    def _solve(self, t: float, evaluate: Callable[[float], int], passing: dict[int, float]) -> Decision:
         """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
         Where parts of several are too many, as at one edge of a body, one of them may keep the others open. Where that
         does not do, either, all opens, and touches again."""
@@ -198,7 +204,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return closing, full
 
-    def _solve_contacts(self, t: float, evaluate) -> Decision:
+    def _solve_contacts(self, t: float, evaluate: Callable[[float], int]) -> Decision:
         """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
@@ -259,7 +265,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         least = -ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
         return [i for i in started if not system.contact_real[i, SLIP_RATE] >= least]
 
-    def _align(self, t: float, decision: Decision, evaluate) -> bool:
+    def _align(self, t: float, decision: Decision, evaluate: Callable[[float], int]) -> bool:
         """Turn slip that begins to where it goes under the loads of the last evaluation, and evaluate in it; False
         where under these loads it does not begin in these modes. What would go back then sticks beside the others."""
         integers, stuck = self.system.contact_int, False
@@ -282,7 +288,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             decision.started = {c: rate for c, rate in decision.started.items() if c not in back}
             decision.status = evaluate(t)
 
-    def _keep_solution(self, t: float, forces: np.ndarray, evaluate) -> None:
+    def _keep_solution(self, t: float, forces: np.ndarray, evaluate: Callable[[float], int]) -> None:
         """Take the solution's forces (items, 3), on the rim of their cones, for the choice among redundant ones."""
         system, reference = self.system, forces.copy()
         reference[[i for i in system.resisting() if system.contact_int[i, MODE] == SLIPPING]] = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,7 +37,7 @@ class PassingSlip:
     def __init__(self, system: System) -> None:
         self.system = system
 
-    def _let_pass(self, t: float, undecided: list[int], evaluate) -> dict[int, float]:
+    def _let_pass(self, t: float, undecided: list[int], evaluate: Callable[[float], int]) -> dict[int, float]:
         """Let slide on what cannot stick although its v_c is zero, as at the dead centre of a crank; which, with the
         relative acceleration in m/s^2 that it has. The last evaluation is one with all undecided ones sticking.
 

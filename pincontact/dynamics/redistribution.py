@@ -8,6 +8,7 @@ ones that are not negative.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,7 +88,7 @@ class RedundantForces:
         self.redistributions = 0
         self.redundant = False
 
-    def redistribute(self, t: float, evaluate, ended: int | None = None) -> bool:
+    def redistribute(self, t: float, evaluate: Callable[[float], int], ended: int | None = None) -> bool:
         """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
 
         ended: the contact whose load has come to zero, or comes back from there. Needs the last evaluation, whose
@@ -132,14 +133,14 @@ class RedundantForces:
                 evaluate(t)
         return False
 
-    def choose(self, t: float, evaluate) -> bool:
+    def choose(self, t: float, evaluate: Callable[[float], int]) -> bool:
         """Choose redundant forces of the present modes as if there had been no others; whether all forces lie inside
         their cones."""
         self._load_all()
         self._take_reference(None)
         return self._settles(evaluate(t), t, evaluate)
 
-    def _settles(self, status: int, t: float, evaluate) -> bool:
+    def _settles(self, status: int, t: float, evaluate: Callable[[float], int]) -> bool:
         """Whether all forces of the last evaluation, of that status, lie inside their cones, or other ones among
         redundant forces do."""
         # without an event every force does
@@ -160,7 +161,7 @@ class RedundantForces:
             system.contact_int[c, MODE] = FRICTIONLESS
         system.contact_int[c, NORMAL_SIGN] = 1
 
-    def _choose_least_loads(self, t: float, evaluate, ended: int | None) -> bool:
+    def _choose_least_loads(self, t: float, evaluate: Callable[[float], int], ended: int | None) -> bool:
         """Give the loads of what slides the least values that are not negative; False where contacts open instead.
 
         A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads

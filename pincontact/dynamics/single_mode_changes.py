@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class SingleModeChanges(RedundantForces):
         system = self.system
         return sign * float(system.acceleration[system.joint_int[g, JOINT_V]] / np.abs(system.free_acceleration).max())
 
-    def share(self, t: float, c: int, evaluate) -> bool:
+    def share(self, t: float, c: int, evaluate: Callable[[float], int]) -> bool:
         """Keep contact c, whose normal force would pull, closed without one, by a part of its viscous friction; False
         where that is not needed, or does not do. Then the contact is what it was.
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 import scipy
 
-from ..contours import Contour, HeightField, Line, Plane, Torus
+from ..contours import Contour, HeightField, Line, Plane, Torus, tape
 from ..contours.bends import bends_less
 from ..contours.piecewise import breaks_of, chebyshev_nodes, fitted
 from ..contours.splines import height_spline
@@ -54,7 +54,7 @@ def _touches_once(system: Workspace, c: int, side: int) -> bool:
     own = (system.contacts[c].body1, system.contacts[c].body2)[side].contour
     other = (system.contacts[c].body1, system.contacts[c].body2)[1 - side].contour
     in_plane = bool(system.contact_int[c, PATTERN] == PLANAR)
-    flat = isinstance(other, Plane) or (in_plane and isinstance(other, Line))
+    flat = (in_plane or other.dimension == 2) and _is_flat(other)
     if flat and isinstance(own, Torus):
         # except where it lies flat, along a whole circle
         return True
@@ -65,6 +65,15 @@ def _touches_once(system: Workspace, c: int, side: int) -> bool:
     towards = _side_of(system, c, side)
     radius = _largest_radius(own, in_plane)
     return towards == other.convex_side or (math.isfinite(radius) and _rolls_freely(other, towards, radius, in_plane))
+
+
+def _is_flat(contour: Contour) -> bool:
+    """Whether it is a plane or a line, or a formula that does nothing but multiply by numbers and add."""
+    if contour.evaluator is not traced:
+        return isinstance(contour, (Plane, Line))
+    end = tape.INSTRUCTIONS + tape.INSTRUCTION_SIZE * int(contour.pool[tape.COUNT])
+    operations = contour.pool[tape.INSTRUCTIONS : end : tape.INSTRUCTION_SIZE]
+    return bool(np.isin(operations, (tape.LINEAR, tape.AFFINE)).all())
 
 
 def _side_of(system: Workspace, c: int, side: int) -> int:

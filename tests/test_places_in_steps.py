@@ -83,6 +83,46 @@ def test_one_contact_flies_to_the_other_flank():
         assert run.status == 0 and depth(run, field).max() < 1e-5, run.message
 
 
+def ring_in_bowl():
+    """A ring that lies down in a bowl: its contact runs round it at up to 450 rad/s."""
+    scene = pc.Scene(body(pc.Circle(0.09114874117773833)))
+    scene.add_contour("ring", pc.Circle(0.09114874117773833), frame="body")
+    scene.add_contour("bowl", pc.Ellipsoid(0.6784087113578872, 0.8115534141178526, 0.8531837812705673))
+    for i in range(4):
+        scene.add_contact(f"c{i}", "ring", "bowl", side=-1)
+    start = np.array([0.02674868, 0.24775014, 0.14633096, 0.0, 0.0, 0.0, 1.0])
+    v = [-1.90122274, -1.28953774, -1.84173504, 0.0, 0.0, 0.0]
+    return scene, scene.initial_state(start, v, free=list(scene.contacts))
+
+
+def test_steps_in_which_contacts_leap_are_divided():
+    """Newton's method went over to the place of another contact, which three of four came to share."""
+    scene, state = ring_in_bowl()
+    run = pc.simulate(scene, state, 0.3, method="Moreau", dt=1e-3)
+    assert run.status == 0, run.message
+    closed = [track.point[-1] for track in run.contacts.values() if track.mode[-1] != -1]
+    for one, two in itertools.combinations(closed, 2):
+        assert np.linalg.norm(one - two) > 1e-3
+    # steps are divided, and outputs are asked for in between
+    assert len(run.t) > 301
+    asked = pc.simulate(scene, state, 0.3, method="Moreau", dt=1e-3, t_eval=np.arange(0.2005, 0.3, 1e-3))
+    assert asked.status == 0 and len(asked.t) == 100
+    stepper, other = (pc.Stepper(scene, state, dt=1e-3) for _ in range(2))
+    rows, _ = other.rollout(np.zeros((300, 6)))
+    mass = sum(inertia.mass for inertia in scene.model.inertias)
+    for i in range(300):
+        before = pin.Quaternion(stepper.q[3:7]).matrix() @ stepper.v[:3]
+        stepper.step(np.zeros(6))
+        k = int(np.argmin(np.abs(run.t - stepper.t)))
+        np.testing.assert_array_equal(run.q[k], stepper.q)
+        np.testing.assert_array_equal(rows[i], stepper.q)
+        if i == 264:
+            # the mean force of a step that is divided, up to the corrections of its ends
+            gained = pin.Quaternion(stepper.q[3:7]).matrix() @ stepper.v[:3] - before
+            expected = mass * (gained / 1e-3 - scene.model.gravity.linear)
+            np.testing.assert_allclose(-sum(stepper.forces.values()), expected, rtol=1e-4)
+
+
 @pytest.mark.parametrize("law", [None, pc.Coulomb(0.4), pc.Coulomb(0.4, viscous=0.5), pc.NoSlip()], ids=str)
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_outputs_show_no_forces_that_pull(law, speed):

@@ -26,8 +26,9 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
-# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a jump.
-CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS = 50, 51, 52, 53, 54, 55
+# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a jump; a
+# closed contact has not been followed.
+CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -41,6 +42,7 @@ FAILURES = {
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
     MOTION_JUMPS: (STEP_TOO_SMALL, "at once: a motion jumps by more than its velocities in the step explain"),
     FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
+    LEAPT: (STEP_TOO_LONG, "the step is too long for this motion: a contact leaps to another place"),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,
         "the bodies touch at a second place: declare another contact of these two contours, which starts open",

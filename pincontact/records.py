@@ -19,8 +19,8 @@ from .integration.slow_slip import frozen_directions, present_directions, set_fr
 from .integration.steps import RECORD
 from .layout import (
     CONTACT_INTS,
-    FROZEN_COLUMNS,
     FREE,
+    FROZEN_COLUMNS,
 )
 from .scene import Scene
 from .state import State

@@ -9,7 +9,7 @@ import math
 
 from ..arrays import as_array
 from ..callback import call_python, kernel_caller, separate_kernel
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, are_at_one_place, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, USUAL
@@ -33,6 +33,7 @@ from ..layout import (
     LOW_FORCE,
     MODE,
     MU,
+    NEXT,
     NO_FORCE,
     NOT_FINITE,
     OK,
@@ -467,6 +468,17 @@ def _leaps(system, step, c, h):
 
 
 @kernel
+def _has_come_to_another(system, c):
+    """Whether a closed contact is where an earlier one of the same contours, which is closed, is: one is enough."""
+    other = system.contact_int[c, NEXT]
+    while other != c:
+        if other < c and system.contact_int[other, MODE] != FREE and are_at_one_place(system, c, other):
+            return True
+        other = system.contact_int[other, NEXT]
+    return False
+
+
+@kernel
 def _review_end(system, step, h):
     """The trial step, whose end has been put on the constraints: contacts that went beyond the end of a contour
     open. A status: those that cannot open end there, and closed ones that are still apart, or not followed, are a
@@ -481,6 +493,9 @@ def _review_end(system, step, h):
             return CLOSED_APART
         if _leaps(system, step, c, h):
             return LEAPT
+        if contact[UNILATERAL] != 0 and system.counters.paired != 0 and _has_come_to_another(system, c):
+            contact[MODE], step.touch_time[c] = FREE, -1.0
+            continue
         domain, before = numbers[DOMAIN], step.start_domain[c]
         if domain >= -_AT_END:
             continue

@@ -67,6 +67,8 @@ _TURNS_FAR = 0.3
 
 # Parts, by halves, into which a step is divided at most.
 _MOST_PARTS = 256
+# What fails so is divided: contacts are not where they go in the step.
+_DIVIDED = LEAPT, LOCATION_FAILED
 
 # Kernels that steps call by address.
 _CALLED = {"run_task": run_task, "solve_cones": solve_cones, "assemble": assemble, "move_charts": move_charts}
@@ -260,7 +262,7 @@ class MoreauStep:
                     steps = 1
                 self._last[()] = min(last, self.steps + steps)
             status = self._run(STEP)
-            if status == LEAPT or status == LOCATION_FAILED:
+            if status in _DIVIDED:
                 t = self._numbers["run_start"].item() + self.steps * self._numbers["step_size"].item()
                 status = self._take_parts(t) if self.divides(status, t) else status
                 if status == OK:
@@ -272,7 +274,7 @@ class MoreauStep:
     def divides(self, status: int, t: float) -> bool:
         """Whether the step from t that failed so is to be made in shorter ones, from the state at its start, which is
         evaluated then: contacts were not followed on its way."""
-        if status not in (LEAPT, LOCATION_FAILED) or self.parts == _MOST_PARTS:
+        if status not in _DIVIDED or self.parts == _MOST_PARTS:
             return False
         integers, charts = self.known
         nc = self.system.nc

@@ -351,10 +351,8 @@ class OpenContacts:
         system, known = self.system, self._nearness(c, t)
         candidates, gap = known.find(t), float(system.gaps[c, 0])
         inside = [found for found in candidates if -entered < found.gap < 0.0]
-        if inside:
-            found = min(inside, key=lambda each: each.gap)
-        else:
-            found = min(candidates, key=lambda each: known.order(each, t, h), default=None)
+        in_order = sorted(inside or candidates, key=lambda each: each.gap if inside else known.order(each, t, h))
+        found = next(iter(in_order), None)
         if found is None or self._is_present(c, found):
             return None
         followed = not inside and system.contact_real[c, DOMAIN] >= 0.0 and gap >= 0.0

@@ -26,8 +26,8 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
-# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a jump; a
-# closed contact has not been followed.
+# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a
+# jump; a closed contact has not been followed.
 CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
 
 FAILURES = {

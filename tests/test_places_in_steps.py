@@ -14,6 +14,8 @@ import pincontact as pc
 # A curve's y-axis points up, the ring rolls along x.
 UPRIGHT = pin.SE3(pin.utils.rotate("x", math.pi / 2), np.zeros(3))
 RADIUS = 0.1
+# Of a bowl: x y z w.
+TURNED = [-0.3006038043720752, 0.2373156172309605, 0.17290238882348796, 0.9074268094752628]
 
 
 def scene_over(shape, field, contacts, mu=0.5):
@@ -81,6 +83,61 @@ def test_one_contact_flies_to_the_other_flank():
         run = pc.simulate(scene, state, 0.14, method="Moreau", dt=step)
         # a step late would be 1e-4 to 1e-3
         assert run.status == 0 and depth(run, field).max() < 1e-5, run.message
+
+
+def ring_in_bowl(turned):
+    """A ring that lies down in a bowl: its contact runs round it at up to 450 rad/s."""
+    scene = pc.Scene(body(pc.Circle(0.09114874117773833)))
+    scene.add_contour("ring", pc.Circle(0.09114874117773833), frame="body")
+    bowl = pc.Ellipsoid(0.6784087113578872, 0.8115534141178526, 0.8531837812705673)
+    scene.add_contour("bowl", bowl, placement=pin.SE3(pin.Quaternion(np.array(turned)), np.zeros(3)))
+    for i in range(4):
+        scene.add_contact(f"c{i}", "ring", "bowl", side=-1)
+    start = np.array([0.026748676037246233, 0.24775014171719634, 0.14633095960687653, 0.0, 0.0, 0.0, 1.0])
+    v = [-1.901222739800844, -1.289537739784976, -1.8417350377917323, 0.0, 0.0, 0.0]
+    return scene, scene.initial_state(start, v, free=list(scene.contacts))
+
+
+@pytest.mark.parametrize("turned", [TURNED, [0.0, 0.0, 0.0, 1.0]], ids=["leaps", "comes to another"])
+def test_contacts_of_one_pair_share_no_place(turned):
+    """Newton's method went over to the place of another contact, which three of four came to share by 0.267 s; or what
+    was open touched where another one was closed."""
+    scene, state = ring_in_bowl(turned)
+    run = pc.simulate(scene, state, 0.3, method="Moreau", dt=1e-3)
+    assert run.status == 0, run.message
+    pairs = 0
+    for i in range(len(run.t)):
+        closed = [track.point[i] for track in run.contacts.values() if track.mode[i] != -1]
+        for one, two in itertools.combinations(closed, 2):
+            pairs += 1
+            assert np.linalg.norm(one - two) > 1e-3
+    # it does lie down
+    assert pairs > 3
+
+
+def test_steps_in_which_contacts_leap_are_divided():
+    """The same in a stepper, row by row and with outputs in between; forces are means over whole steps."""
+    scene, state = ring_in_bowl(TURNED)
+    run = pc.simulate(scene, state, 0.27, method="Moreau", dt=1e-3)
+    assert run.status == 0 and len(run.t) > 271, run.message
+    times = np.linspace(0.26, 0.268, 30)
+    asked = pc.simulate(scene, state, 0.27, method="Moreau", dt=1e-3, t_eval=times)
+    np.testing.assert_array_equal(asked.t, times)
+    stepper, other = (pc.Stepper(scene, state, dt=1e-3) for _ in range(2))
+    rows, _ = other.rollout(np.zeros((270, 6)))
+    mass = sum(inertia.mass for inertia in scene.model.inertias)
+    for i in range(270):
+        before = pin.Quaternion(stepper.q[3:7]).matrix() @ stepper.v[:3]
+        stepper.step(np.zeros(6))
+        k = int(np.argmin(np.abs(run.t - stepper.t)))
+        assert abs(run.t[k] - stepper.t) < 1e-12
+        np.testing.assert_array_equal(run.q[k], stepper.q)
+        np.testing.assert_array_equal(rows[i], stepper.q)
+        if i == 264:
+            # the mean force of a step that is divided, up to the corrections of its ends
+            gained = pin.Quaternion(stepper.q[3:7]).matrix() @ stepper.v[:3] - before
+            expected = mass * (gained / 1e-3 - scene.model.gravity.linear)
+            np.testing.assert_allclose(-sum(stepper.forces.values()), expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("law", [None, pc.Coulomb(0.4), pc.Coulomb(0.4, viscous=0.5), pc.NoSlip()], ids=str)

@@ -225,14 +225,14 @@ def leave_taken_places(system):
         other = contact_int[c, NEXT]
         while contact_int[c, MODE] == FREE and other != c:
             first = other < c or contact_int[other, MODE] != FREE
-            if first and gaps[other, 0] < NOTHING_THERE and _are_at_one_place(system, c, other):
+            if first and gaps[other, 0] < NOTHING_THERE and are_at_one_place(system, c, other):
                 leave_apart(system, c)
                 break
             other = contact_int[other, NEXT]
 
 
 @kernel
-def _are_at_one_place(system, c, other):
+def are_at_one_place(system, c, other):
     """Whether two contacts, of the same contours in any order, have the same points."""
     same = SAME_PLACE * system.contact_real[c, LENGTH]
     if not abs(system.gaps[c, 0] - system.gaps[other, 0]) < same:

@@ -38,7 +38,7 @@ from ..layout import (
 )
 from .accuracy import APART_AT_END, REST, SHALLOW
 from .impulse_layout import JOINT_MOVES, ROLL, SLIP, SPIN, step_at
-from .impulse_trial import APPROVED, CONE_LEFT, FRESH, ask, call_task, find_joint_states, trial_step
+from .impulse_trial import APPROVED, CONE_LEFT, FRESH, TAKEN, ask, call_task, find_joint_states, trial_step
 from .impulse_velocities import relative_turning
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
@@ -248,7 +248,8 @@ def _run(system, step, task, found, t, h):
                 if abs(h - size) <= slack:
                     # not what rounding has made of it
                     h = size
-        approved = found == APPROVED
+        taken = found == TAKEN
+        approved = taken or found == APPROVED
         if task >= TRY and not approved:
             status = trial_step(system, step, t, h, found)
             if status != OK or task == TRY:
@@ -257,7 +258,8 @@ def _run(system, step, task, found, t, h):
         if not inside:
             if task == INTEGRATE and not approved and (counts.watched != 0 or _happens(system, step)):
                 return TRIED
-            _accept(system, step, t_new, 0 if task == BEGIN else 1)
+            if not taken:
+                _accept(system, step, t_new, 0 if task == BEGIN else 1)
             if task < TRY:
                 return OK
             counts.steps += 1
@@ -284,6 +286,6 @@ def run_steps(system_address, step_address, task, found, t, h):
     task: BEGIN at t; RELOCATE open contacts at t, where others have found them; TRY a step of size h from t, ACCEPT it
     at its end t; STEP, which is both until counts.last steps are done, and INTEGRATE, steps and outputs until Python is
     needed, take their times from the step's numbers. found: FRESH, or what has become of the cone problem that the last
-    call with this task left, or APPROVED for the step that INTEGRATE came back with as TRIED.
+    call with this task left, or APPROVED for the step that INTEGRATE came back with as TRIED, or TAKEN.
     """
     return _run(system_at(system_address), step_at(step_address), task, found, t, h)

@@ -9,12 +9,15 @@ import math
 
 from ..arrays import as_array
 from ..callback import call_python, kernel_caller, separate_kernel
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, are_at_one_place, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, USUAL
+from ..geometry.location import NO_CLOSED_FORM
+from ..geometry.small import norm
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
+    CLOSED_FORM,
     DOMAIN,
     FREE,
     FRICTIONLESS,
@@ -23,12 +26,14 @@ from ..layout import (
     JOINT_END,
     JOINT_Q,
     JOINT_V,
+    K1,
     LENGTH,
     LOCATION_FAILED,
     LOW_END,
     LOW_FORCE,
     MODE,
     MU,
+    NEXT,
     NO_FORCE,
     NOT_FINITE,
     OK,
@@ -63,9 +68,9 @@ from .impulse_layout import (
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
-from .impulses import advance, leave_turning_axes, predict_midpoint
+from .impulses import LEAP, advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
-from .results import CLOSED_APART, CONTOUR_ENDS, MOTION_JUMPS
+from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
@@ -74,8 +79,8 @@ _BASE, _PRIME = 1_000_003, 2_147_483_647
 # What it comes back with, besides a status: a cone problem is to be solved.
 CONE_LEFT = 100
 # What has become of the cone problem that the last call left, if it left one: solved or not, or there is room now for
-# one of its size; or the trial step is to be accepted.
-FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM = range(5)
+# one of its size; or the trial step is to be accepted, or its way has been gone in shorter ones.
+FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM, TAKEN = range(6)
 
 # A step is taken again where the velocity at its midpoint was off by this fraction, at most so many times; corrections
 # that leave it off by the last have not converged. One that makes energy is off by half the part that it makes.
@@ -447,9 +452,37 @@ def _pass(system, step, t, found):
 
 
 @kernel
+def _leaps(system, step, c, h):
+    """Whether contact c is not where its coordinates go in a step, by their rates before and after it: Newton's method
+    has gone over to other points where bodies touch."""
+    integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
+    if integers[CLOSED_FORM] != NO_CLOSED_FORM:
+        return False
+    moved = fastest = 0.0
+    for body in range(2):
+        for a in range(integers[K1 + body]):
+            i, length = 2 * body + a, norm(system.derivatives[2 * c + body, 1 + a])
+            moved = max(moved, length * abs(system.location[c, i] - step.start_location[c, i]))
+            fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
+    return moved > LEAP * h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
+
+
+@kernel
+def _has_come_to_another(system, c):
+    """Whether a closed contact is where an earlier one of the same contours, which is closed, is: one is enough."""
+    other = system.contact_int[c, NEXT]
+    while other != c:
+        if other < c and system.contact_int[other, MODE] != FREE and are_at_one_place(system, c, other):
+            return True
+        other = system.contact_int[other, NEXT]
+    return False
+
+
+@kernel
 def _review_end(system, step, h):
     """The trial step, whose end has been put on the constraints: contacts that went beyond the end of a contour
-    open. A status: those that cannot open end there, and closed ones that are still apart are a failure."""
+    open. A status: those that cannot open end there, and closed ones that are still apart, or not followed, are a
+    failure."""
     nv, correction, status = system.sizes.nv, system.correction_q, OK
     for c in range(system.sizes.nc):
         contact, numbers = system.contact_int[c], system.contact_real[c]
@@ -458,6 +491,11 @@ def _review_end(system, step, h):
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
             return CLOSED_APART
+        if _leaps(system, step, c, h):
+            return LEAPT
+        if contact[UNILATERAL] != 0 and system.counters.paired != 0 and _has_come_to_another(system, c):
+            contact[MODE], step.touch_time[c] = FREE, -1.0
+            continue
         domain, before = numbers[DOMAIN], step.start_domain[c]
         if domain >= -_AT_END:
             continue

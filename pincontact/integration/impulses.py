@@ -401,8 +401,9 @@ def _report_forces(system, step):
             forces[c, i] = orientation[c] * value / h
 
 
-# A gap that changes in a step by more than this many times what its rates before and after it explain is another one.
-_LEAP = 4.0
+# A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
+# explain is another one.
+LEAP = 4.0
 
 
 @separate_kernel(BOOLEAN, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
@@ -461,7 +462,7 @@ def commit_contact(system, step, c, stepped):
     outside = step.behind[c] != 0 or domain < 0.0 or step.start_domain[c] < 0.0
     if system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
         fastest = max(abs(rate), abs(step.start_normal[c, 0]))
-        outside |= before - gap > _LEAP * step.numbers.h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
+        outside |= before - gap > LEAP * step.numbers.h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
     step.behind[c] = 1 if mode == FREE and gap < 0.0 and outside else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)

@@ -35,7 +35,7 @@ from .impulse_cones import ImpulseSolver
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, step_workspace
 from .impulse_problem import assemble
 from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, TRY, run_steps
-from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED, WITH_ROOM
+from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, TAKEN, UNSOLVED, WITH_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
 from .reports import least_conditioned
 from .results import (
@@ -44,6 +44,7 @@ from .results import (
     CONTRADICTION,
     FAILURES,
     FLIES_THROUGH,
+    LEAPT,
     MOTION_JUMPS,
     TOUCHES_AROUND,
     TOUCHES_TWICE,
@@ -64,6 +65,11 @@ DEFAULT_STEP = 1e-3
 _RUNAWAY = 10.0
 # Motion in one step (rad or m) below which no body has turned far in it.
 _TURNS_FAR = 0.3
+
+# Parts, by halves, into which a step is divided at most.
+_MOST_PARTS = 256
+# What fails so is divided: contacts are not where they go in the step.
+_DIVIDED = LEAPT, LOCATION_FAILED
 
 # Kernels that steps call by address.
 _CALLED = {"run_task": run_task, "solve_cones": solve_cones, "assemble": assemble, "move_charts": move_charts}
@@ -149,6 +155,8 @@ class MoreauStep:
         self.start_joint, self.joint_state = arrays.start_joint[:ng], arrays.joint_state[:ng]
         self.limit_time = arrays.limit_time[:ng]
         self._joint_impulse = arrays.joint_impulse[: system.nv]
+        # what is told of a step, and how much of it comes from one of its halves
+        self._shares = (self.forces, 0.5), (self.torques, 0.5), (self._joint_impulse, 1.0)
         self._counts, self._numbers = arrays.counts, arrays.numbers
         # views of what every step of a `Stepper` asks for: a record takes twenty times as long to read
         fields = np.asarray(arrays.counts)
@@ -160,6 +168,8 @@ class MoreauStep:
         self.cones = ImpulseSolver(arrays)
         arrays.keep()
         self._begin_anew()
+        # into how many parts the present step is divided
+        self.parts = 1
         # whether steps have to stop for a look at open contacts
         self._looks = self._open.watches()
 
@@ -253,8 +263,52 @@ class MoreauStep:
                     steps = 1
                 self._last[()] = min(last, self.steps + steps)
             status = self._run(STEP)
+            if status in _DIVIDED:
+                t = self._numbers["run_start"].item() + self.steps * self._numbers["step_size"].item()
+                status = self._take_parts(t) if self.divides(status, t) else status
+                if status == OK:
+                    status = self._run(STEP, found=TAKEN)
             if status not in (OK, GOING_ON):
                 break
+        return status
+
+    def divides(self, status: int, t: float) -> bool:
+        """Whether the step from t that failed so is to be made in shorter ones, from the state at its start, which is
+        evaluated then: contacts were not followed on its way."""
+        if status not in _DIVIDED or self.parts == _MOST_PARTS:
+            return False
+        integers, charts = self.known
+        nc = self.system.nc
+        self.system.contact_int[:nc, :CONTACT_INTS] = integers
+        self.system.side_int[: 2 * nc, CHART] = charts.ravel()
+        self.touch_time[:] = -1.0
+        return self._run(RELOCATE, t) == OK
+
+    def _take_parts(self, start: float) -> int:
+        """Go the way of the next step, from `start`, by steps of half its size, of which it has the mean forces; a
+        status."""
+        counts, numbers = self._counts, self._numbers
+        names = ("steps", "last", "step_limit", "row_count"), ("run_start", "run_end", "step_size")
+        kept = [{name: of[name].item() for name in fields} for of, fields in zip((counts, numbers), names)]
+        size = numbers["step_size"].item()
+        means = [(of, share, np.zeros_like(of)) for of, share in self._shares]
+        self.set_run(start, start + size, 0.5 * size, 2, 2, False)
+        counts["row_count"], self.parts = 0, 2 * self.parts
+        try:
+            for _ in range(2):
+                if (status := self.advance(1)) != OK:
+                    break
+                for of, share, mean in means:
+                    mean += share * of
+        finally:
+            self.parts //= 2
+            for of, values in zip((counts, numbers), kept):
+                for name, value in values.items():
+                    of[name] = value
+        if status == OK:
+            numbers["h"] = size
+            for of, _, mean in means:
+                of[:] = mean
         return status
 
     def actuate(self, actuators: Sequence[Actuator]) -> None:

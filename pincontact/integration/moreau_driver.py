@@ -132,6 +132,9 @@ class MoreauDriver:
                 raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
+            elif step.divides(why, t):
+                count = self._run_parts(start, end, t, t_new)
+                most = self.max_steps - self._earlier_steps
             elif why == AT_LIMIT and ahead == 0:
                 self._check(step.trouble, t)
             elif why not in (GOING_ON, AT_END, AT_LIMIT):
@@ -141,6 +144,20 @@ class MoreauDriver:
                 self.progress(end if i == count else start + i * size)
         if step.goes_wrong(end):
             self._check(step.trouble, end)
+
+    def _run_parts(self, start: float, end: float, t: float, t_new: float) -> int:
+        """The step from t to t_new by steps of half the size, within a run of steps; returns how many these are."""
+        step, size, done, earlier = self.step, self.size, self.step.steps, self._earlier_steps
+        self.size, self._earlier_steps, step.parts = 0.5 * size, earlier + done, 2 * step.parts
+        try:
+            self._run_until(t, t_new)
+        finally:
+            self.size, step.parts = size, step.parts // 2
+        # one of them counts as the step itself
+        self._earlier_steps += step.steps - done - 1
+        count = self._plan(start, end)
+        step.steps = done + 1
+        return count
 
     def _plan(self, start: float, end: float) -> int:
         """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""

@@ -26,9 +26,10 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
-# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a jump.
-CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS = 50, 51, 52, 53, 54, 55
-TOUCHES_AROUND = 56
+# through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a
+# jump; a closed contact has not been followed; bodies touch all around.
+CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
+TOUCHES_AROUND = 57
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -47,6 +48,7 @@ FAILURES = {
         "the bodies touch along a line or a circle, as on an axis of symmetry, and not at a point: they start or move "
         "too symmetrically",
     ),
+    LEAPT: (STEP_TOO_LONG, "the step is too long for this motion: a contact leaps to another place"),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,
         "the bodies touch at a second place: declare another contact of these two contours, which starts open",

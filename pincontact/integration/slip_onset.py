@@ -40,10 +40,8 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
-    START_RATE,
     START_SPEED,
     STICK,
-    STOP_TIME,
     TANGENTS,
 )
 from .accuracy import gap_rate, held_up, rest_speed
@@ -311,9 +309,6 @@ class SlipOnset:
         rk.evaluate(t)
         slipping = self._turning()
         for c in slipping:
-            if system.contact_real[c, START_RATE] < 0.0:
-                # like any step, before it comes to rest
-                span = min(span, system.contact_real.item(c, STOP_TIME))
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
         took = self._follow(t, dict.fromkeys(slipping, 0), span, shortest)
         system.contact_int[:, FROZEN] = 0

@@ -41,6 +41,7 @@ SCALARS = record(
 )
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
+# INDEPENDENT whether those of the last accepted state were,
 # and LOST_POSITIVITY 1 if there are forces, but those from which compliances would lead away
 COUNTERS = record(
     INTEGERS,
@@ -69,6 +70,7 @@ COUNTERS = record(
     "stiff_steps",
     "patience",
     "row_rank",
+    "independent",
     "parent_axes",
     "scan_count",
     "sought_item",

@@ -14,7 +14,7 @@ from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
-# redundant constraints. Those that have been independent are so down to this part of it: round-off alone, which is a ten
+# redundant constraints. Those that have been independent are so down to a part of it: round-off, which is a ten
 # thousandth of it, makes no constraints dependent and independent in turn.
 RANK_TOLERANCE, STILL_INDEPENDENT = 1e-11, 0.1
 

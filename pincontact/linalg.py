@@ -14,9 +14,10 @@ from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
-# redundant constraints. Those that have been independent are so down to a part of it: round-off, which is a ten
-# thousandth of it, makes no constraints dependent and independent in turn.
-RANK_TOLERANCE, STILL_INDEPENDENT = 1e-11, 0.1
+# redundant constraints. Those that have been redundant are so up to a multiple of it: round-off makes no constraints
+# redundant and independent in turn, and where these need all of a force, what that moves is more than cone problems,
+# which are solved to 1e-10, leave open.
+RANK_TOLERANCE, STILL_REDUNDANT = 1e-11, 1e2
 
 
 # --------------------------------------------------------------------------------------------------------- vectors

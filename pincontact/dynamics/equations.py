@@ -46,7 +46,7 @@ from ..layout import (
 )
 from ..linalg import (
     RANK_TOLERANCE,
-    STILL_INDEPENDENT,
+    STILL_REDUNDANT,
     inner,
     least_norm,
     solve_factored,
@@ -257,8 +257,8 @@ def solve_sticking(system, count):
 def solve_for_rows(system, count):
     """The least multipliers x with R R^T x = b, R the whitened rows, from b in their place; returns the rank of R."""
     tolerance = RANK_TOLERANCE
-    if system.counters.independent != 0:
-        tolerance *= STILL_INDEPENDENT
+    if system.counters.redundant != 0:
+        tolerance *= STILL_REDUNDANT
     return solve_gram(
         system.whitened_rows,
         count,

@@ -11,7 +11,7 @@ from ..arrays import array_entry
 from ..constraints.kinematics import ROW_ROUND_OFF
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL
-from ..layout import EVENT, FRICTIONLESS, FROZEN, JOINT_END, LENGTH, MODE, SLIP_RATE, STICK, TANGENTS
+from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
 from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
 from .directions import freeze_slip
 from .units import mass_norm, root_of_squares
@@ -41,8 +41,7 @@ class PassingSlip:
         relative acceleration in m/s^2 that it has. The last evaluation is one with all undecided ones sticking.
 
         There v_c vanishes because of the place, its rows do or are those of other constraints, and no force ends it.
-        Its friction does not change that acceleration, which is therefore that without friction. Where it turns that
-        round, as of wheels on one axle, which hold what no rolling motion allows, the contact problem is to tell.
+        Its friction does not change that acceleration, which is therefore that without friction.
         """
         system = self.system
         passing: dict[int, float] = {}
@@ -58,11 +57,8 @@ class PassingSlip:
             tangents = int(system.contact_int[c, TANGENTS])
             along = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
             freeze_slip(system, c, along)
-            if evaluate(t) <= EVENT and not system.contact_real[c, SLIP_RATE] > 0.0:
-                system.contact_int[c, MODE], system.contact_int[c, FROZEN] = STICK, 0
-                evaluate(t)
-                return passing
             passing[c] = float(np.linalg.norm(along))
+            evaluate(t)
 
     def _unheld(self, undecided: list[int]) -> int | None:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""

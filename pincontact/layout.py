@@ -41,7 +41,8 @@ SCALARS = record(
 )
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
-# and LOST_POSITIVITY 1 if there are forces, but those from which compliances would lead away
+# REDUNDANT 1 if those of the last accepted state depend on each other, and LOST_POSITIVITY 1 if there are forces, but
+# those from which compliances would lead away
 COUNTERS = record(
     INTEGERS,
     "newton_count",
@@ -69,6 +70,7 @@ COUNTERS = record(
     "stiff_steps",
     "patience",
     "row_rank",
+    "redundant",
     "parent_axes",
     "scan_count",
     "sought_item",

@@ -14,8 +14,10 @@ from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
-# redundant constraints.
-RANK_TOLERANCE = 1e-11
+# redundant constraints. Those that have been redundant are so up to a multiple of it: round-off makes no constraints
+# redundant and independent in turn, and where these need all of a force, what that moves is more than cone problems,
+# which are solved to 1e-10, leave open.
+RANK_TOLERANCE, STILL_REDUNDANT = 1e-11, 1e2
 
 
 # --------------------------------------------------------------------------------------------------------- vectors
@@ -250,8 +252,10 @@ def complete_basis(basis, rank, n):
 
 
 @kernel
-def solve_gram(rows, m, n, lower, permutation, x, scratch):
+def solve_gram(rows, m, n, lower, permutation, x, scratch, tolerance):
     """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n); returns its rank.
+
+    tolerance: a pivot below this fraction of its row's diagonal counts as zero, RANK_TOLERANCE as a rule.
 
     x (m,): b in, solution out; lower (m, m + 1), permutation (m,) int and scratch (m, m + 1) are overwritten.
     Cholesky with pivoting, R R^T = P L L^T P^T with L of full column rank r; only the columns of R R^T that are needed
@@ -266,7 +270,7 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
         lower[i, m - 1], lower[i, m] = (1.0 / diagonal, 1.0) if diagonal > 0.0 else (0.0, 0.0)
     rank = 0
     while rank < m:
-        inverse = _take_pivot(lower, permutation, rank, m)
+        inverse = _take_pivot(lower, permutation, rank, m, tolerance)
         if inverse == 0.0:
             break
         p = permutation[rank]
@@ -298,19 +302,19 @@ def solve_factored(lower, permutation, m, rank, x, scratch):
 
 
 @inlined_kernel
-def _take_pivot(lower, permutation, rank, m):
+def _take_pivot(lower, permutation, rank, m, tolerance):
     """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; returns the inverse of its root,
     0 where none is left.
 
     Which part of each row's diagonal is left stands in column m, the diagonal's inverse in column m - 1, which the
     factor needs for the last row only.
     """
-    pivot, best = rank, RANK_TOLERANCE
+    pivot, best = rank, tolerance
     for i in range(rank, m):
         left = lower[permutation[i], m]
         if left > best:
             best, pivot = left, i
-    if not best > RANK_TOLERANCE:
+    if not best > tolerance:
         return 0.0
     permutation[rank], permutation[pivot] = permutation[pivot], permutation[rank]
     p = permutation[rank]

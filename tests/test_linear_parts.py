@@ -111,7 +111,8 @@ def test_singular_systems_get_their_least_solution(seed, n, rank):
         # (R R^T)^+ b
         least = np.linalg.pinv(rows, rcond=1e-9).T @ np.linalg.pinv(rows, rcond=1e-9) @ b if rank else np.zeros(n)
         x = b.copy()
-        found = solve_gram(rows, n, 9, np.zeros((n, n + 1)), np.zeros(n, dtype=np.int64), x, np.zeros((n, n + 1)))
+        lower, order = np.zeros((n, n + 1)), np.zeros(n, dtype=np.int64)
+        found = solve_gram(rows, n, 9, lower, order, x, np.zeros((n, n + 1)), linalg.RANK_TOLERANCE)
         assert found == rank
         # what it solves, and that it is the least: condition numbers of up to 1e4, squared
         assert matrix @ x == pytest.approx(b, abs=1e-6 * (np.abs(b).max(initial=0.0) + 1e-300))

@@ -46,6 +46,7 @@ from ..layout import (
 )
 from ..linalg import (
     RANK_TOLERANCE,
+    STILL_REDUNDANT,
     inner,
     least_norm,
     solve_factored,
@@ -255,6 +256,9 @@ def solve_sticking(system, count):
 @separate_kernel(INTEGER, SYSTEM.type, INTEGER)
 def solve_for_rows(system, count):
     """The least multipliers x with R R^T x = b, R the whitened rows, from b in their place; returns the rank of R."""
+    tolerance = RANK_TOLERANCE
+    if system.counters.redundant != 0:
+        tolerance *= STILL_REDUNDANT
     return solve_gram(
         system.whitened_rows,
         count,
@@ -263,6 +267,7 @@ def solve_for_rows(system, count):
         system.permutation,
         system.multipliers,
         system.constraint_rows,
+        tolerance,
     )
 
 

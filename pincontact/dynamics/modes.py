@@ -115,7 +115,14 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         if beyond is not None:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
+        modes, limits = integers.copy(), system.joint_int.copy()
         decision = self._solve(t, evaluate, passing)
+        if passing and decision.status > EVENT:
+            # friction may turn round what holds beside others what no rolling motion allows: wheels on one axle
+            integers[:], system.joint_int[:] = modes, limits
+            integers[list(passing), MODE], integers[list(passing), FROZEN] = STICK, 0
+            evaluate(t)
+            decision = self._solve(t, evaluate, {})
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
 

@@ -9,7 +9,7 @@ from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .projection import CONTRADICTING
-from .results import FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
+from .results import ADVICE, FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
@@ -93,5 +93,5 @@ def projection_failure(system: System, t: float) -> Stop:
     return Stop(
         STEP_TOO_SMALL,
         f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the step's "
-        "error",
+        f"error; {ADVICE}",
     )

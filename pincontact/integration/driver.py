@@ -247,7 +247,8 @@ class Driver:
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
-        self.transitions.onset.longest = min(0.5 * step, 0.5 * (self._end - t), self._max_step)
+        onset, left = self.transitions.onset, self._end - t
+        onset.longest, onset.left = min(0.5 * step, 0.5 * left, self._max_step), left if left > 0.0 else math.inf
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""

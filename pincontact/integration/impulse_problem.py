@@ -29,7 +29,7 @@ from ..layout import (
     SYSTEM,
     system_at,
 )
-from ..linalg import factorize_tree, inner, solve_gram, unwhiten, whiten
+from ..linalg import RANK_TOLERANCE, factorize_tree, inner, solve_gram, unwhiten, whiten
 from ..workspace import square
 from .actuators import add_actuators, end_weight
 from .impulse_equations import REDUNDANT, gather_equations
@@ -204,7 +204,8 @@ def keep_within_reach(system, step):
             count += 1
         if largest <= _WITHIN_ROUND_OFF * scale:
             return
-        rank = solve_gram(rows, count, nv, system.delassus, system.permutation, x, system.constraint_rows)
+        lower, scratch = system.delassus, system.constraint_rows
+        rank = solve_gram(rows, count, nv, lower, system.permutation, x, scratch, RANK_TOLERANCE)
         if rank == independent:
             return
         most = 0.0

@@ -224,7 +224,7 @@ class EventLocator:
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = slack.item(c, kind) - depth
         if slope < 0.0:
-            h = max(h - (found - below) / slope, back)
+            h = min(max(h - (found - below) / slope, back), _FURTHEST * step)
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump

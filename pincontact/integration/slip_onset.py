@@ -40,10 +40,8 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
-    START_RATE,
     START_SPEED,
     STICK,
-    STOP_TIME,
     TANGENTS,
 )
 from .accuracy import gap_rate, held_up, rest_speed
@@ -57,9 +55,9 @@ from .steps import FAILED_FACTOR, FIND_EARLIEST
 _SHORTEST_START = 1e-3
 # Where it cannot be followed, slip is seeded after this fraction of the usual time.
 _SHORT_SEED = 1e-2
-# So often a seed is shortened, to a millionth, where the motion turns within it: a disk that is almost flat turns round
-# in microseconds.
-_SHORTENINGS = 10
+# So often a seed is shortened, to a billionth, where the motion turns within it: a disk that is almost flat turns round
+# in microseconds, and of two wheels on one axle that slip by 1e-8 m/s one takes over the slip of the other in 1e-9 s.
+_SHORTENINGS = 16
 # Slip from rest starts slowly where friction turns it this many times faster than it grows.
 _SLOW_START = 30.0
 # So often, and so much shorter each time, is looked for slip that a seed has not shown.
@@ -83,7 +81,8 @@ class SlipOnset:
 
     depths: (items,) how much deeper in m than their accuracy open contacts may be, see `penetration`.
     seed: time in s after which slip from rest is seeded: its error is of third order in it.
-    longest: the longest time in s that the start of slip may take; the driver keeps it current.
+    longest: the longest time in s that the start of slip may take, and left: that of the run, or until the next
+    breakpoint; the driver keeps them current.
     age: how long in s slip went on that has started since this was set to zero.
     emit(t, step): writes the outputs that fall into a short step (start, size in s) taken here; the driver sets it.
     """
@@ -91,7 +90,7 @@ class SlipOnset:
     def __init__(self, changes: ModeChanges, opened: OpenContacts, depths: np.ndarray, span: float) -> None:
         self.changes, self.rk, self.system = changes, changes.rk, changes.system
         self.open, self.depths = opened, depths
-        self.longest = 0.0
+        self.longest, self.left = 0.0, math.inf
         self.age = 0.0
         # the event that the last step met at its end: item and kind
         self.pending: tuple[int, int] | None = None
@@ -123,7 +122,7 @@ class SlipOnset:
         frozen = np.flatnonzero(system.contact_int[:, FROZEN]).tolist()
         if not frozen:
             return t
-        tau = min(self.seed**1.5, self.until_touch())
+        tau = min(self.seed**1.5, self.until_touch(), self.left)
         if self._starts_slowly(t, frozen):
             slowest = min(self.system.contact_real[frozen, SLIP_RATE].tolist())
             took = self._follow(t, dict.fromkeys(frozen, 1), max(self.longest, self._until_shown(slowest, 1)), tau)
@@ -299,7 +298,7 @@ class SlipOnset:
         system = self.system
         shown = _SHOWN * float(system.scale[1] + system.scale[0] * np.abs(system.v).max(initial=0.0))
         lasts = float((power * shown / growth) ** (1.0 / power)) if growth > 0.0 else 0.0
-        return min(lasts, self.seed, self.until_touch())
+        return min(lasts, self.seed, self.until_touch(), self.left)
 
     # ---------------------------------------------------------------- slow slip
 
@@ -311,9 +310,6 @@ class SlipOnset:
         rk.evaluate(t)
         slipping = self._turning()
         for c in slipping:
-            if system.contact_real[c, START_RATE] < 0.0:
-                # like any step, before it comes to rest
-                span = min(span, system.contact_real.item(c, STOP_TIME))
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
         took = self._follow(t, dict.fromkeys(slipping, 0), span, shortest)
         system.contact_int[:, FROZEN] = 0

@@ -10,7 +10,7 @@ from calling import from_python
 import pincontact.contours as pc
 from pincontact.contours import branches, tape
 from pincontact.contours.branches import _beside_root, _between, _Search, survey
-from pincontact.contours.enclosures import ORIGIN, SIGN, Interval, _away, _of_one, _of_two, is_end, is_risky, margins
+from pincontact.contours.enclosures import ORIGIN, SIGN, Interval, _away, of_one, of_two, is_end, is_risky, margins
 from pincontact.contours.formula import Formula
 from pincontact.contours.trace import RISK, Path
 from pincontact.errors import ContourError
@@ -66,7 +66,7 @@ def test_bounds_of_one_variable_are_the_range(op):
     exponents = (3.0, 2.0, 4.0, 1.5, 0.5, -1.0, -2.0, -0.5) if op == tape.POWER_CONSTANT else (1.5, -2.0)
     boxes = [(low, high), *np.sort(generator.uniform(low, high, (4, 2)), axis=1).tolist()]
     for c, (a, b) in itertools.product(exponents, boxes):
-        found = _of_one(op, c, interval(a, b))
+        found = of_one(op, c, interval(a, b))
         samples = np.array([function_of_one(op, float(x), c)[:2] for x in np.linspace(a, b, 51)])
         for bounds, column in zip(found, samples.T):
             # between samples, an extremum is missed by the square of their distance
@@ -93,7 +93,7 @@ def test_bounds_of_two_variables_close_in_on_the_value(op):
         x, y = x * generator.choice([-1.0, 1.0]), y * (1.0 if op == tape.ATAN2 else generator.choice([-1.0, 1.0]))
         for width in (0.2, 1e-3, 1e-6):
             a, b = x - 0.4 * width, y - 0.3 * width
-            found = _of_two(op, interval(a, a + width), interval(b, b + width))
+            found = of_two(op, interval(a, a + width), interval(b, b + width))
             points = [(a + i * width / 4, b + j * width / 4) for i in range(5) for j in range(5)]
             samples = np.array([function_of_two(op, *point)[:3] for point in points])
             for bounds, column in zip(found, samples.T):
@@ -104,8 +104,8 @@ def test_bounds_of_two_variables_close_in_on_the_value(op):
                 assert hi - lo <= np.ptp(column) + 20.0 * width
     # where the angle jumps, and where it has no value, nothing less than a turn
     for box in ((interval(-0.1, 0.1), interval(-1.0, -0.5)), (interval(-0.1, 0.1), interval(-0.1, 0.1))):
-        assert ends(_of_two(tape.ATAN2, *box)[0]) == (-math.pi, math.pi)
-    assert ends(_of_two(tape.ATAN2, interval(0.1, 1.0), interval(-1.0, 1.0))[0]) == pytest.approx(
+        assert ends(of_two(tape.ATAN2, *box)[0]) == (-math.pi, math.pi)
+    assert ends(of_two(tape.ATAN2, interval(0.1, 1.0), interval(-1.0, 1.0))[0]) == pytest.approx(
         (math.atan2(0.1, 1.0), math.atan2(0.1, -1.0)), abs=1e-15
     )
 

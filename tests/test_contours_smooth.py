@@ -12,7 +12,7 @@ from test_contours_formulas import FORMS, expression
 
 import pincontact as pc
 from pincontact.contours.base import F_1, F_11, F
-from pincontact.contours.enclosures import FAULTS, Interval, _of_one, _of_two
+from pincontact.contours.enclosures import FAULTS, Interval, of_one, of_two
 from pincontact.contours.piecewise import fitted
 from pincontact.contours.tape import ATAN2, COSH, MULTIPLY, SQUARE, function_of_one, function_of_two, traced
 from pincontact.errors import ContourError
@@ -602,7 +602,7 @@ def test_bounds_hold_for_every_operation():
             c = float(generator.choice([2.0, 3.0, -1.0, -2.0, 0.5, 1.5, 2.5, -0.5]))
             low, high = np.sort(generator.uniform(-3.0, 3.0, 2) * generator.choice([0.01, 0.3, 1.0]))
             with np.errstate(all="ignore"):
-                value, slope = _of_one(op, c, Interval(np.array([low]), np.array([high])))
+                value, slope = of_one(op, c, Interval(np.array([low]), np.array([high])))
             for x in [low, high, *generator.uniform(low, high, 20)]:
                 try:
                     f, f_x, _ = (function_of_one.py_func if hasattr(function_of_one, "py_func") else function_of_one)(
@@ -619,7 +619,7 @@ def test_bounds_hold_for_every_operation():
         for _ in range(100):
             box = np.sort(generator.uniform(-2.0, 2.0, (2, 2)) * generator.choice([0.1, 1.0]), axis=1)
             with np.errstate(all="ignore"):
-                bounds = _of_two(op, *(Interval(np.array([a]), np.array([b])) for a, b in box))
+                bounds = of_two(op, *(Interval(np.array([a]), np.array([b])) for a, b in box))
             for x, y in generator.uniform(box[:, 0], box[:, 1], (20, 2)).tolist():
                 found = (function_of_two.py_func if hasattr(function_of_two, "py_func") else function_of_two)(op, x, y)
                 for interval, number in zip(bounds, found):

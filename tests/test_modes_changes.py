@@ -490,14 +490,14 @@ def test_what_cannot_stick_slides_on_without_friction(monkeypatch):
 # ---------------------------------------------------------------------------------------------- the decision
 
 
-def deciding(monkeypatch, loaded=True, passing=None, holds=True, chosen=False):
+def deciding(monkeypatch, loaded=True, passing=None, holds=True, chosen=False, status=7):
     system = Items(3, seed=2)
     system.contact_int[:, [MODE, FROZEN]] = SLIPPING, 1
     solver = ModeSolver(system)
     answers = {"_load_all": loaded, "_let_pass": passing or {}, "_holds": holds, "redistribute": chosen}
     for name, answer in answers.items():
         monkeypatch.setattr(solver, name, saying(answer))
-    solved = saying(Decision(7, {0: 1.0, 2: 2.0}))
+    solved = saying(Decision(status, {0: 1.0, 2: 2.0}))
     monkeypatch.setattr(solver, "_solve", solved)
     return system, solver, solved
 
@@ -551,7 +551,7 @@ def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypa
 
 
 def test_what_passes_is_no_longer_undecided(monkeypatch):
-    system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
+    system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False, status=OK)
     evaluate = Played(system, OK, EVENT)
     decision = solver.resolve_modes(T, [0, 1], evaluate)
     assert solved.asked == [(T, evaluate, {0: 0.7})]
@@ -560,6 +560,12 @@ def test_what_passes_is_no_longer_undecided(monkeypatch):
     system, solver, solved = deciding(monkeypatch, passing={2: 0.7})
     decision = solver.resolve_modes(T, [1, 2], Played(system))
     assert (decision.status, decision.started, solved.asked) == (OK, {2: 0.7}, [])
+    # where that leaves no forces, it is decided with the others
+    system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
+    evaluate = Played(system, OK, EVENT, OK)
+    solver.resolve_modes(T, [0, 1], evaluate)
+    assert solved.asked == [(T, evaluate, {0: 0.7}), (T, evaluate, {})]
+    assert len(evaluate.asked) == 3 and system.contact_int[0, MODE] == STICK
     # what begins beside it is decided with it
     system, solver, solved = deciding(monkeypatch, passing={1: 0.7}, holds=False)
     solver.resolve_modes(T, [0], Played(system, EVENT))

@@ -18,6 +18,7 @@ from ..geometry.small import norm
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     CLOSED_FORM,
+    CONDITION,
     DOMAIN,
     FREE,
     FRICTIONLESS,
@@ -453,8 +454,8 @@ def _pass(system, step, t, found):
 
 @kernel
 def _leaps(system, step, c, h):
-    """Whether contact c is not where its coordinates go in a step, by their rates before and after it: Newton's method
-    has gone over to other points where bodies touch."""
+    """Whether contact c is not where its coordinates go in a step, by their rates before and after it, and as bodies
+    that were inside each other come apart: Newton's method has gone over to other points where bodies touch."""
     integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         return False
@@ -464,7 +465,10 @@ def _leaps(system, step, c, h):
             i, length = 2 * body + a, norm(system.derivatives[2 * c + body, 1 + a])
             moved = max(moved, length * abs(system.location[c, i] - step.start_location[c, i]))
             fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
-    return moved > LEAP * h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
+    numbers = system.contact_real[c]
+    # the worse they are conditioned, the farther contact coordinates move with the bodies
+    out = max(-step.start_gap[c], 0.0)
+    return moved > LEAP * h * fastest + APART_AT_END * numbers[LENGTH] + LEAP * out / abs(numbers[CONDITION])
 
 
 @kernel

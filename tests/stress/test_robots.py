@@ -63,7 +63,7 @@ def test_slips_that_go_back_in_turn_are_given_up():
     state = robot.scene.initial_state(robot.q, np.zeros(robot.model.nv), free=list(robot.scene.contacts))
     run = pc.simulate(robot.scene, state, 0.0452)
     # how many mode changes there are hangs on round-off; most evaluations of each are for directions of slip
-    assert run.stats["rhs"] < 300 * len(run.events)
+    assert run.stats["rhs"] < 400 * len(run.events)
     assert run.status == 0 or (run.status == -4 and "wheel" in run.message and "fallback" in run.message)
 
 

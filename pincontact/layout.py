@@ -41,8 +41,8 @@ SCALARS = record(
 )
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
-# REDUNDANT 1 if those of the last accepted state depend on each other, and LOST_POSITIVITY 1 if there are forces, but
-# those from which compliances would lead away
+# REDUNDANT 1 where those that are next to depending on each other count as if they did, and LOST_POSITIVITY 1 if there
+# are forces, but those from which compliances would lead away
 COUNTERS = record(
     INTEGERS,
     "newton_count",

@@ -14,10 +14,9 @@ from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
-# redundant constraints. Those that have been redundant are so up to a multiple of it: round-off makes no constraints
-# redundant and independent in turn, and where these need all of a force, what that moves is more than cone problems,
-# which are solved to 1e-10, leave open.
-RANK_TOLERANCE, STILL_REDUNDANT = 1e-11, 1e2
+# redundant constraints. In time stepping they are so up to a multiple of it: to take from velocities what cone
+# problems, which are solved to 1e-10, leave open would change them by more than a step does.
+RANK_TOLERANCE, NEXT_TO_REDUNDANT = 1e-11, 1e2
 
 
 # --------------------------------------------------------------------------------------------------------- vectors

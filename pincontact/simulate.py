@@ -355,8 +355,10 @@ def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory
     t, good, discrete = driver.good or (state.t, None, state.discrete)
     start, works = state, None
     if good is not None:
-        q, v, location, works = driver.system.parts(good)
-        start = State(scene, q, v, t, location, discrete)
+        _, _, location, works = driver.system.parts(good)
+        # Pinocchio's velocity, not that of a state, which may be in other axes
+        driver.rk.load(good)
+        start = State(scene, driver.system.q.copy(), driver.system.v.copy(), t, location, discrete)
     event = Event(t, None, "fallback", start.q.copy(), start.v.copy())
     rest = replace(
         request,

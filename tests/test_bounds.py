@@ -10,7 +10,7 @@ from calling import from_python
 import pincontact.contours as pc
 from pincontact.contours import branches, tape
 from pincontact.contours.branches import _beside_root, _between, _Search, survey
-from pincontact.contours.enclosures import ORIGIN, SIGN, Interval, _away, of_one, of_two, is_end, is_risky, margins
+from pincontact.contours.enclosures import ORIGIN, SIGN, Interval, _away, is_end, is_risky, margins, of_one, of_two
 from pincontact.contours.formula import Formula
 from pincontact.contours.trace import RISK, Path
 from pincontact.errors import ContourError

@@ -45,8 +45,8 @@ from ..layout import (
     UNILATERAL,
 )
 from ..linalg import (
+    NEXT_TO_REDUNDANT,
     RANK_TOLERANCE,
-    STILL_REDUNDANT,
     inner,
     least_norm,
     solve_factored,
@@ -258,7 +258,7 @@ def solve_for_rows(system, count):
     """The least multipliers x with R R^T x = b, R the whitened rows, from b in their place; returns the rank of R."""
     tolerance = RANK_TOLERANCE
     if system.counters.redundant != 0:
-        tolerance *= STILL_REDUNDANT
+        tolerance *= NEXT_TO_REDUNDANT
     return solve_gram(
         system.whitened_rows,
         count,

@@ -220,6 +220,8 @@ class MoreauStep:
         """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status; sets
         `apart`."""
         self._open.forget_way()
+        # contact problems leave open what constraints that are next to redundant would turn into much more
+        self.system.counters["redundant"] = 1
         closed = self.system.closed()
         status = self._run(BEGIN, t)
         self.apart = apart(self.system, closed) if status == OK else {}

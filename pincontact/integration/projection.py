@@ -109,8 +109,6 @@ def project_places(system, t):
     For a method that needs no accelerations; open contacts are evaluated too.
     """
     last = 0.0
-    # cone problems leave open what constraints that are nearly redundant would make of velocities, which is much more
-    system.counters.redundant = 1
     for _ in range(_PLACE_PROJECTIONS):
         status = evaluate(system, t, PLACES_OF_ALL)
         if status != OK:

@@ -57,12 +57,9 @@ _STIFF = 2.0
 
 @separate_kernel(NOTHING, SYSTEM.type)
 def note_end(system):
-    """From the last evaluation, that of STAGE_STATE, what the next step is held against: whether rows are redundant,
-    each contact's normal, the speed and rate of every 3D slip with the error that is allowed in it, and how fast
-    friction turns it.
+    """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, the
+    speed and rate of every 3D slip with the error that is allowed in it, and how fast friction turns it.
     """
-    counters = system.counters
-    counters.redundant = 1 if counters.row_rank < counters.row_count else 0
     nv, n, v = system.sizes.nv, count_items(system), system.v
     relative, absolute = system.scale[0], system.scale[1]
     turning = 0.0

@@ -333,7 +333,7 @@ class Transitions:
         Where that will not do `failure` is raised.
         """
         system, changes = self.system, self.changes
-        if not changes.sticking() and all(end != 0 for end in system.joint_int[system.held(), JOINT_END].tolist()):
+        if all(end != 0 for end in system.joint_int[system.held(), JOINT_END].tolist()):
             raise failure
         before = system.v.copy()
         after = self.impacts.collide(t, [], {})

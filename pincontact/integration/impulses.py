@@ -65,7 +65,7 @@ from ..layout import (
 )
 from ..linalg import inner, unwhiten
 from ..workspace import flat
-from .accuracy import APART_AT_END
+from .accuracy import APART_AT_END, SHALLOW
 from .actuators import find_actuation
 from .impulse_drives import note_drives
 from .impulse_equations import equation_impulses
@@ -453,14 +453,17 @@ def commit_contact(system, step, c, stepped):
             gained = inner(rows[row], system.correction_v, nv)
             for i in range(3):
                 slip[i] += gained * basis[row, i]
-    rate, before = dot(basis[2], slip), step.start_gap[c]
+    rate, before, was_closed = dot(basis[2], slip), step.start_gap[c], step.start_mode[c] != FREE
     step.start_mode[c], step.start_gap[c] = mode, gap
     for motion in range(3):
         step.start_motion[c, motion] = abs(step.motion[c, motion])
     # what got to the far side beside the contours, or is followed there since Newton's method has gone over to other
     # stationary points, touches after it has been on the near side only
     outside = step.behind[c] != 0 or domain < 0.0 or step.start_domain[c] < 0.0
-    if system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
+    if was_closed:
+        # opened by what struck elsewhere, after this had come inside: it touches in the next step
+        outside |= gap < -SHALLOW * system.contact_real[c, LENGTH]
+    elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
         fastest = max(abs(rate), abs(step.start_normal[c, 0]))
         outside |= before - gap > LEAP * step.numbers.h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
     step.behind[c] = 1 if mode == FREE and gap < 0.0 and outside else 0

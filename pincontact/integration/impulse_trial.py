@@ -46,7 +46,7 @@ from ..layout import (
 )
 from ..linalg import inner, whiten
 from ..workspace import square
-from .accuracy import APART_AT_END
+from .accuracy import APART_AT_END, LEAPS
 from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
@@ -453,9 +453,22 @@ def _pass(system, step, t, found):
 
 
 @kernel
-def _leaps(system, step, c, h):
+def _comes_out(system, step, h):
+    """By how much in m bodies are moved in a step to come out of what they were, or got, inside of, at most."""
+    largest = 0.0
+    for c in range(system.sizes.nc):
+        if system.contact_int[c, MODE] != FREE:
+            inside = max(-step.start_gap[c], 0.0)
+            if step.start_mode[c] == FREE:
+                inside += h * abs(step.start_normal[c, 0])
+            largest = max(largest, inside)
+    return largest
+
+
+@kernel
+def _leaps(system, step, c, h, moved_out):
     """Whether contact c is not where its coordinates go in a step, by their rates before and after it, and as bodies
-    that were inside each other come apart: Newton's method has gone over to other points where bodies touch."""
+    are moved out of each other: Newton's method has gone over to other points where bodies touch."""
     integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         return False
@@ -467,8 +480,8 @@ def _leaps(system, step, c, h):
             fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
     numbers = system.contact_real[c]
     # the worse they are conditioned, the farther contact coordinates move with the bodies
-    out = max(-step.start_gap[c], 0.0)
-    return moved > LEAP * h * fastest + APART_AT_END * numbers[LENGTH] + LEAP * out / abs(numbers[CONDITION])
+    explained = h * fastest + moved_out / abs(numbers[CONDITION])
+    return moved > LEAP * explained + LEAPS * numbers[LENGTH]
 
 
 @kernel
@@ -488,6 +501,7 @@ def _review_end(system, step, h):
     open. A status: those that cannot open end there, and closed ones that are still apart, or not followed, are a
     failure."""
     nv, correction, status = system.sizes.nv, system.correction_q, OK
+    moved_out = _comes_out(system, step, h)
     for c in range(system.sizes.nc):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         step.edge_time[c] = -1.0
@@ -495,7 +509,7 @@ def _review_end(system, step, h):
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
             return CLOSED_APART
-        if _leaps(system, step, c, h):
+        if _leaps(system, step, c, h, moved_out):
             return LEAPT
         if contact[UNILATERAL] != 0 and system.counters.paired != 0 and _has_come_to_another(system, c):
             contact[MODE], step.touch_time[c] = FREE, -1.0

@@ -9,16 +9,12 @@ import math
 
 from ..arrays import as_array
 from ..callback import call_python, kernel_caller, separate_kernel
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, are_at_one_place, torques_finite
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, USUAL
-from ..geometry.location import NO_CLOSED_FORM
-from ..geometry.small import norm
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
-    CLOSED_FORM,
-    CONDITION,
     DOMAIN,
     FREE,
     FRICTIONLESS,
@@ -27,14 +23,12 @@ from ..layout import (
     JOINT_END,
     JOINT_Q,
     JOINT_V,
-    K1,
     LENGTH,
     LOCATION_FAILED,
     LOW_END,
     LOW_FORCE,
     MODE,
     MU,
-    NEXT,
     NO_FORCE,
     NOT_FINITE,
     OK,
@@ -46,7 +40,7 @@ from ..layout import (
 )
 from ..linalg import inner, whiten
 from ..workspace import square
-from .accuracy import APART_AT_END, LEAPS
+from .accuracy import APART_AT_END
 from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
@@ -66,10 +60,11 @@ from .impulse_layout import (
     UNASKED,
     WANTED,
 )
+from .impulse_leaps import comes_out, has_come_to_another, leaps
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
-from .impulses import LEAP, advance, leave_turning_axes, predict_midpoint
+from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
 from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS
 from .stages import evaluate, hand_over
@@ -453,55 +448,12 @@ def _pass(system, step, t, found):
 
 
 @kernel
-def _comes_out(system, step, h):
-    """By how much in m bodies are moved in a step to come out of what they were, or got, inside of, at most."""
-    largest = 0.0
-    for c in range(system.sizes.nc):
-        if system.contact_int[c, MODE] != FREE:
-            inside = max(-step.start_gap[c], 0.0)
-            if step.start_mode[c] == FREE:
-                inside += h * abs(step.start_normal[c, 0])
-            largest = max(largest, inside)
-    return largest
-
-
-@kernel
-def _leaps(system, step, c, h, moved_out):
-    """Whether contact c is not where its coordinates go in a step, by their rates before and after it, and as bodies
-    are moved out of each other: Newton's method has gone over to other points where bodies touch."""
-    integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
-    if integers[CLOSED_FORM] != NO_CLOSED_FORM:
-        return False
-    moved = fastest = 0.0
-    for body in range(2):
-        for a in range(integers[K1 + body]):
-            i, length = 2 * body + a, norm(system.derivatives[2 * c + body, 1 + a])
-            moved = max(moved, length * abs(system.location[c, i] - step.start_location[c, i]))
-            fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
-    numbers = system.contact_real[c]
-    # the worse they are conditioned, the farther contact coordinates move with the bodies
-    explained = h * fastest + moved_out / abs(numbers[CONDITION])
-    return moved > LEAP * explained + LEAPS * numbers[LENGTH]
-
-
-@kernel
-def _has_come_to_another(system, c):
-    """Whether a closed contact is where an earlier one of the same contours, which is closed, is: one is enough."""
-    other = system.contact_int[c, NEXT]
-    while other != c:
-        if other < c and system.contact_int[other, MODE] != FREE and are_at_one_place(system, c, other):
-            return True
-        other = system.contact_int[other, NEXT]
-    return False
-
-
-@kernel
 def _review_end(system, step, h):
     """The trial step, whose end has been put on the constraints: contacts that went beyond the end of a contour
     open. A status: those that cannot open end there, and closed ones that are still apart, or not followed, are a
     failure."""
     nv, correction, status = system.sizes.nv, system.correction_q, OK
-    moved_out = _comes_out(system, step, h)
+    moved_out = comes_out(system, step, h)
     for c in range(system.sizes.nc):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         step.edge_time[c] = -1.0
@@ -509,9 +461,9 @@ def _review_end(system, step, h):
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
             return CLOSED_APART
-        if _leaps(system, step, c, h, moved_out):
+        if leaps(system, step, c, h, moved_out):
             return LEAPT
-        if contact[UNILATERAL] != 0 and system.counters.paired != 0 and _has_come_to_another(system, c):
+        if contact[UNILATERAL] != 0 and system.counters.paired != 0 and has_come_to_another(system, c):
             contact[MODE], step.touch_time[c] = FREE, -1.0
             continue
         domain, before = numbers[DOMAIN], step.start_domain[c]

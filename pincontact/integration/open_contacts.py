@@ -34,7 +34,7 @@ from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
 from .nearness import Nearness, Place, of_same_contours, touching_order
-from .results import FLIES_THROUGH, TOUCHES_AROUND, TOUCHES_TWICE
+from .results import FLIES_THROUGH, TOUCHES_AROUND, TOUCHES_TWICE, TOUCHES_UNSEEN
 from .stages import load_state
 from .steps import BOUND_SPEEDS
 
@@ -315,8 +315,12 @@ class OpenContacts:
                 known_to = -float(system.gap_accuracy[c])
                 candidates = known.look(t).candidates
                 self._refuse_around(t, known)
-                inside = (found for found in candidates if -_DEEPER * way < found.gap < known_to)
-                if any(not (self._is_present(c, found) and known.is_near(found)) for found in inside):
+                length = system.contact_real[c, LENGTH]
+                inside = (found for found in candidates if -max(_DEEPER * way, SHALLOW * length) < found.gap < known_to)
+                elsewhere = [found for found in inside if not (self._is_present(c, found) and known.is_near(found))]
+                if elsewhere and way < LEAPS * length and all(found.gap < -_DEEPER * way for found in elsewhere):
+                    raise touch_elsewhere(t, known.contact.name, TOUCHES_UNSEEN)
+                if elsewhere:
                     # which was not followed there, or from far away
                     self._cut = 0.5 * step
                     return False

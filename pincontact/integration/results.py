@@ -27,9 +27,9 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
 # through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a
-# jump; a closed contact has not been followed; bodies touch all around.
+# jump; a closed contact has not been followed; bodies touch all around, or where nothing was found before.
 CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
-TOUCHES_AROUND = 57
+TOUCHES_AROUND, TOUCHES_UNSEEN = 57, 58
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -49,6 +49,10 @@ FAILURES = {
         "too symmetrically",
     ),
     LEAPT: (STEP_TOO_LONG, "the step is too long for this motion: a contact leaps to another place"),
+    TOUCHES_UNSEEN: (
+        SINGULAR_CONTACT,
+        "the bodies are inside each other at a place that was not found before they were: it is too narrow or steep",
+    ),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,
         "the bodies touch at a second place: declare another contact of these two contours, which starts open",

@@ -18,7 +18,6 @@ from ..contours import Contour, HeightField, Line, Plane, Torus, tape
 from ..contours.bends import bends_less
 from ..contours.piecewise import breaks_of, chebyshev_nodes, fitted
 from ..contours.splines import height_spline
-from ..contours.tape import traced
 from ..layout import PATTERN
 from ..workspace import Workspace
 from .carriers import ORIGIN
@@ -69,7 +68,7 @@ def _touches_once(system: Workspace, c: int, side: int) -> bool:
 
 def _is_flat(contour: Contour) -> bool:
     """Whether it is a plane or a line, or a formula that does nothing but multiply by numbers and add."""
-    if contour.evaluator is not traced:
+    if contour.evaluator is not tape.traced:
         return isinstance(contour, (Plane, Line))
     end = tape.INSTRUCTIONS + tape.INSTRUCTION_SIZE * int(contour.pool[tape.COUNT])
     operations = contour.pool[tape.INSTRUCTIONS : end : tape.INSTRUCTION_SIZE]
@@ -113,7 +112,7 @@ def _pieces(contour: Contour) -> int:
 def _is_resolved(contour: Contour) -> bool:
     """Whether samples show all that it has."""
     if not _is_piecewise(contour):
-        return contour.evaluator is not traced
+        return contour.evaluator is not tape.traced
     return _pieces(contour) <= _PIECES
 
 
@@ -154,7 +153,7 @@ def _rolls_freely(contour: Contour, side: int, radius: float, in_plane: bool) ->
     if is_larger or contour.convex_side != 0 or isinstance(contour, (HeightField, Torus)):
         return not is_larger
     # a narrow place, where parts face each other
-    if contour.evaluator is traced and not np.isfinite(contour.domain).all():
+    if contour.evaluator is tape.traced and not np.isfinite(contour.domain).all():
         return False
     values = _samples(contour)
     centres = values[:, 0] + side * radius * _normals(values, in_plane)

@@ -208,19 +208,10 @@ class NearestSearch:
         frame = self._frame()
         return np.asarray(frame[:3].T @ (point - frame[ORIGIN]))
 
-    @property
-    def _samples_tell(self) -> bool:
-        return isinstance(self.divided, (Sphere, Ellipsoid)) and self.whole.rounding == 0.0
-
-    @property
-    def is_bend_known(self) -> bool:
-        """Whether the radius of curvature is known where bodies are near, and not only that of samples far apart."""
-        return self._state is not None or self._samples_tell
-
     def may_overlap(self) -> bool:
         """Whether the bodies may be inside each other, in the system's last evaluation; of a body with samples and an
         ellipsoid, or a ball, these tell, to their distance squared over the radius of curvature."""
-        if not self._samples_tell:
+        if not isinstance(self.divided, (Sphere, Ellipsoid)) or self.whole.rounding > 0.0:
             return True
         axes = np.array(self.divided.shape[:3] if isinstance(self.divided, Ellipsoid) else 3 * self.divided.shape[:1])
         rotation, centre = self.pose()

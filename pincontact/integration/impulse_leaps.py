@@ -6,28 +6,16 @@ from ..dynamics.evaluation import are_at_one_place
 from ..geometry.location import NO_CLOSED_FORM
 from ..geometry.small import norm
 from ..jit import kernel
-from ..layout import CLOSED_FORM, CONDITION, FREE, K1, LENGTH, MODE, NEXT
+from ..layout import CLOSED_FORM, FREE, K1, LENGTH, MODE, NEXT
 from .accuracy import LEAPS
 from .impulses import LEAP
 
 
 @kernel
-def comes_out(system, step, h):
-    """By how much in m bodies are moved in a step to come out of what they were, or got, inside of, at most."""
-    largest = 0.0
-    for c in range(system.sizes.nc):
-        if system.contact_int[c, MODE] != FREE:
-            inside = max(-step.start_gap[c], 0.0)
-            if step.start_mode[c] == FREE:
-                inside += h * abs(step.start_normal[c, 0])
-            largest = max(largest, inside)
-    return largest
-
-
-@kernel
-def leaps(system, step, c, h, moved_out):
-    """Whether contact c is not where its coordinates go in a step, by their rates before and after it, and as bodies
-    are moved out of each other: Newton's method has gone over to other points where bodies touch."""
+def leaps(system, step, c, h):
+    """Whether contact c is not where its coordinates go in a step, by their rates before and after it: Newton's method
+    has gone over to other points where bodies touch. Corrections of positions elsewhere move a contact, too, by less the
+    shorter the step is; a step in which it leaps is divided."""
     integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         return False
@@ -37,10 +25,7 @@ def leaps(system, step, c, h, moved_out):
             i, length = 2 * body + a, norm(system.derivatives[2 * c + body, 1 + a])
             moved = max(moved, length * abs(system.location[c, i] - step.start_location[c, i]))
             fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
-    numbers = system.contact_real[c]
-    # the worse they are conditioned, the farther contact coordinates move with the bodies
-    explained = h * fastest + moved_out / abs(numbers[CONDITION])
-    return moved > LEAP * explained + LEAPS * numbers[LENGTH]
+    return moved > LEAP * h * fastest + LEAPS * system.contact_real[c, LENGTH]
 
 
 @kernel

@@ -60,7 +60,7 @@ from .impulse_layout import (
     UNASKED,
     WANTED,
 )
-from .impulse_leaps import comes_out, has_come_to_another, leaps
+from .impulse_leaps import has_come_to_another, leaps
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
@@ -453,7 +453,6 @@ def _review_end(system, step, h):
     open. A status: those that cannot open end there, and closed ones that are still apart, or not followed, are a
     failure."""
     nv, correction, status = system.sizes.nv, system.correction_q, OK
-    moved_out = comes_out(system, step, h)
     for c in range(system.sizes.nc):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         step.edge_time[c] = -1.0
@@ -461,7 +460,7 @@ def _review_end(system, step, h):
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
             return CLOSED_APART
-        if leaps(system, step, c, h, moved_out):
+        if leaps(system, step, c, h):
             return LEAPT
         if contact[UNILATERAL] != 0 and system.counters.paired != 0 and has_come_to_another(system, c):
             contact[MODE], step.touch_time[c] = FREE, -1.0

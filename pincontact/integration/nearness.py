@@ -128,10 +128,9 @@ class Nearness:
 
     @property
     def near(self) -> float:
-        """How far in m bodies may move in a step where they are near each other; zero before it has been looked."""
-        if self.search is None:
-            return self._far
-        return _NEAR * self.search.bend if self.search.is_bend_known else 0.0
+        """How far in m bodies may move in a step where they are near each other; where it is searched, only after the
+        first search."""
+        return self._far if self.search is None else _NEAR * self.search.bend
 
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""
@@ -170,7 +169,8 @@ class Nearness:
         return speed, _CHANGE * speed / change if change > 0.0 else math.inf
 
     def moved(self, t: float) -> float:
-        """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most."""
+        """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most; infinite
+        before the first."""
         search = self.search
         if search is None:
             return 0.0

@@ -195,10 +195,10 @@ class OpenContacts:
             acceleration, distance = SAFETY * self._gravity, self._distance(known, t)
             way = speed * h + 0.5 * acceleration * h * h
             if not known.is_open:
-                late = _LATE * known.near
-                if known.moved(t) + way > max(known.distance, late) and self._touches_twice(t, known):
+                if known.moved(t) + way > max(known.distance, _LATE * known.near) and self._touches_twice(t, known):
                     return 0
-                certain = max(known.distance - known.moved(t), late)
+                # near is what that has just found
+                certain = max(known.distance - known.moved(t), _LATE * known.near)
                 steps = min(steps, max(int(min(time_to_cover(certain, speed, acceleration) / h, MANY_STEPS)), 1))
                 continue
             if known.search is not None and way > distance:

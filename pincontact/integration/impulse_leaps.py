@@ -14,8 +14,8 @@ from .impulses import LEAP
 @kernel
 def leaps(system, step, c, h):
     """Whether contact c is not where its coordinates go in a step, by their rates before and after it: Newton's method
-    has gone over to other points where bodies touch. Corrections of positions elsewhere move a contact, too, by less the
-    shorter the step is; a step in which it leaps is divided."""
+    has gone over to other points where bodies touch. Corrections of positions elsewhere move a contact, too, by less
+    the shorter the step is; a step in which it leaps is divided."""
     integers, before, after = system.contact_int[c], step.start_rates[c], system.rates[c]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         return False

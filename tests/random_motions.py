@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+import test_axles
 import test_ends_in_steps
 import test_ideal_rolling
 import test_moreau
+import test_places_in_steps
 import test_random_runs
 from random_contacts import PATTERNS
 from random_scenes import axis, random_scene, resting_chain
@@ -308,6 +310,106 @@ def joints(rng: np.random.Generator) -> Motion:
     return replace(varying, control=lambda t, q, v: tau + varying.control(t, q, v))
 
 
+def cam(rng: np.random.Generator) -> Motion:
+    """A cam that a motor turns, or that is driven, and a follower that a spring presses onto it: a point, a roller or a
+    flat face, on a slider or a lever; it may lift off."""
+    fast = 10.0 ** rng.uniform(-0.3, 1.8)
+    a, b = rng.uniform(0.02, 0.06), rng.uniform(0.0, 0.3)
+    lobes = int(rng.integers(1, 4))
+    shape = [
+        pc.Circle(a),
+        pc.Ellipse(a, (1.0 - b) * a),
+        pc.ParametricCurve(
+            lambda u: (
+                a * (1.0 + b / lobes**2 * math.cos(lobes * u)) * math.cos(u),
+                a * (1.0 + b / lobes**2 * math.cos(lobes * u)) * math.sin(u),
+                0.0,
+            ),
+            (0.0, 2.0 * math.pi),
+            periodic=True,
+        ),
+    ][rng.integers(3)]
+    model, driven = pin.Model(), rng.random() < 0.4
+    model.gravity.linear = np.array([0.0, -G * (rng.random() < 0.7), 0.0])
+    offset = pin.SE3(np.eye(3), np.array([0.5 * a * rng.random(), 0.0, 0.0]))
+    if not driven:
+        shaft = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "cam")
+        inertia = pin.Inertia(rng.uniform(0.2, 2.0), offset.translation, rng.uniform(1e-4, 1e-2) * np.eye(3))
+        model.appendBodyToJoint(shaft, inertia, pin.SE3.Identity())
+        model.addBodyFrame("cam", shaft, pin.SE3.Identity(), 0)
+    lever, mass = rng.random() < 0.4, rng.uniform(0.1, 1.0)
+    reach = rng.uniform(0.1, 0.2)
+    if lever:
+        # from a pivot beside the cam to above it
+        place = pin.SE3(np.eye(3), np.array([-reach, 1.5 * a, 0.0]))
+        arm = model.addJoint(0, pin.JointModelRZ(), place, "follower")
+        model.appendBodyToJoint(arm, pin.Inertia(mass, np.array([reach, 0, 0]), 1e-3 * np.eye(3)), pin.SE3.Identity())
+        tip = pin.SE3(np.eye(3), np.array([reach, 0.0, 0.0]))
+    else:
+        place = pin.SE3(np.eye(3), np.array([0.3 * a * rng.uniform(-1.0, 1.0), 1.5 * a, 0.0]))
+        arm = model.addJoint(0, pin.JointModelPY(), place, "follower")
+        model.appendBodyToJoint(arm, pin.Inertia(mass, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+        tip = pin.SE3.Identity()
+    model.addBodyFrame("follower", arm, tip, 0)
+    scene = pc.Scene(model)
+    turning = pc.ConstantTwist((0.0, 0.0, fast)) if driven else None
+    scene.add_contour("cam", shape, "universe" if driven else "cam", offset, turning)
+    face = [pc.Point(), pc.Circle(rng.uniform(0.2, 0.5) * a), pc.Line((-3.0 * a, 3.0 * a))][rng.integers(3)]
+    scene.add_contour("follower", face, "follower")
+    scene.add_contact("c", "follower", "cam", law(rng), restitution=0.4 * (rng.random() < 0.2))
+    n = model.nv
+    q, v = np.zeros(n), np.zeros(n)
+    if not driven:
+        q[0], v[0] = rng.uniform(-3.0, 3.0), fast * rng.choice([-1.0, 1.0])
+    stiff, preload = mass * (10.0 ** rng.uniform(0.0, 2.0)) ** 2, mass * G * rng.uniform(0.5, 5.0)
+    arm_length = reach if lever else 1.0
+    torque = rng.uniform(-1.0, 1.0) * preload * a
+
+    def control(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        tau = np.zeros(n)
+        tau[-1] = -arm_length * (preload + stiff * arm_length * q[-1])
+        if not driven:
+            tau[0] = torque
+        return tau
+
+    state = scene.initial_state(q, v, max_gap=1.0)
+    return replace(Motion.of(scene, state, min(0.5, 20.0 / fast)), control=control)
+
+
+def stones(rng: np.random.Generator) -> Motion:
+    """A ball, a ring or a point rolls or flies along a ground that is flat but for one or two narrow places."""
+    a, places = rng.uniform(0.05, 0.2), []
+    for _ in range(int(rng.integers(1, 3))):
+        width = a * 10.0 ** rng.uniform(-1.0, 0.3)
+        height = width * rng.uniform(0.2, 1.5) * rng.choice([-1.0, 1.0])
+        places.append((height, width, *rng.uniform(-2.0, 2.0, 2) * a, float(rng.random() < 0.5)))
+
+    def surface(x, y):
+        z = 0.0 * x
+        for height, width, x0, y0, round_ in places:
+            z = z + height * np.exp(-((x - x0) * (x - x0) + round_ * (y - y0) * (y - y0)) / width**2)
+        return z
+
+    domain = None if rng.random() < 0.5 else ((-9.0, 9.0), (-9.0, 9.0))
+    shape = (pc.Sphere(a), pc.Circle(a), pc.Point())[rng.choice(3, p=(0.6, 0.2, 0.2))]
+    mass = rng.uniform(0.3, 3.0)
+    scene = pc.Scene(free_body(mass, 0.4 * mass * a**2 * np.ones(3)))
+    body = scene.add_contour("shape", shape, "body")
+    floor = scene.add_contour("ground", pc.HeightField(surface, domain=domain))
+    # which of the contacts of one pair is at which place is open, so they are alike
+    names, friction, restitution = [f"c{i}" for i in range(3)], law(rng), 0.3 * (rng.random() < 0.2)
+    for name in names:
+        scene.add_contact(name, body, floor, friction, restitution=restitution)
+    up = pin.rpy.rpyToMatrix(0.5 * math.pi, 0.0, 0.0)
+    rolls = not isinstance(shape, pc.Point) and rng.random() < 0.5
+    start, speed = np.array([-rng.uniform(4.0, 8.0) * a, 0.3 * a * rng.normal()]), rng.uniform(0.5, 3.0)
+    height = float(surface(*start)) + (0.0 if isinstance(shape, pc.Point) else a)
+    q = np.array([*start, height + (0.0 if rolls else rng.uniform(0.1, 1.0) * a), *pin.Quaternion(up).coeffs()])
+    v = np.array([speed, 0.0, 0.0, 0.0, 0.0, -speed / a if rolls else 3.0 * rng.normal()])
+    state = scene.initial_state(q, v, free=names[1:] if rolls else names, max_gap=0.3)
+    return Motion.of(scene, state, 14.0 * a / speed)
+
+
 # ---------------------------------------------------------------------------------------------------- other files'
 
 
@@ -356,6 +458,10 @@ KINDS: dict[str, Callable[[np.random.Generator], Motion]] = {
     "pair": _of(_pair, 0.3),
     "two bodies": _of(lambda seed: test_moreau.random_scene(np.random.default_rng(seed)), 0.4),
     "box": _of(test_ideal_rolling.thrown_box, 0.4),
+    "cam": cam,
+    "stones": stones,
+    "cart": _of(test_axles.random_cart, 0.4),
+    "limbs": _of(test_places_in_steps.limbed, 0.6),
 }
 
 

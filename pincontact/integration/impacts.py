@@ -166,8 +166,9 @@ class Impacts:
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
         self._rubbing, self._rubs_alone = self._slips()
-        self._open_leaving(t, closed, touching, near)
-        self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
+        self._open_leaving(closed)
+        speeds = {g: abs(float(system.v[system.limits[g].index_v])) for g in ends}
+        self.joints.set_from_velocities({g: end for g, end in ends.items() if speeds[g] <= _LEAVING_SPEED})
         changes.set_from_velocities(after_impact=True)
         before = changes.counted_energy()
         changes.stop_jammed(t)
@@ -178,6 +179,7 @@ class Impacts:
         else:
             changes.set_from_velocities(after_impact=True)
         self._end_short_motions(t, closed, ends)
+        self._announce_opened(t, closed, touching, near)
         changes.count_loss(before)
         if deep:
             self._return_lift(t, energy + impact.drives, struck, kinetic)
@@ -211,31 +213,34 @@ class Impacts:
         self.joints.hold_near()
         return near
 
-    def _open_leaving(self, t: float, closed: list[int], touching: list[int], near: list[int]) -> None:
-        """Open the contacts that leave what they have struck; announce those that nobody else does."""
-        system = self.system
+    def _open_leaving(self, closed: list[int]) -> None:
+        """Open the contacts that leave what they have struck."""
+        system, penetration = self.system, self.penetration
         for i in closed:
             if not system.contact_int[i, UNILATERAL]:
                 continue
-            leaving, below = gap_rate(system, i), -float(system.gaps[i, 0])
-            lowest = self._resolution_of_hops(i, leaving)
-            if self._leaves(i, leaving, max(below - self.penetration.accuracy(i), 0.0) + lowest):
+            below = -float(system.gaps[i, 0])
+            if self._leaves(i, below - penetration.accuracy(i)):
                 system.contact_int[i, MODE] = FREE
-                self.penetration.thrown_off.add(i)
-                if i not in touching and i not in near:
-                    # thrown off by what others have struck
-                    self.reports.announce(t, i, "separate")
-                if below > lowest:
+                penetration.thrown_off.add(i)
+                if below > gap_resolution(system)[i]:
                     # rebounds from where it is
-                    self.penetration.tolerate(i, below)
-        for i in near:
-            if system.contact_int[i, MODE] != FREE:
-                self.reports.announce(t, i, "touch")
+                    penetration.tolerate(i, below)
 
-    def _joint_leaves(self, g: int) -> bool:
-        system = self.system
-        speed = abs(float(system.v[system.limits[g].index_v]))
-        return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
+    def _leaves(self, i: int, below: float) -> bool:
+        """Whether contact i leaves what it has struck, from so many m inside, if at all, which it would have to rise."""
+        leaving, system = gap_rate(self.system, i), self.system
+        falling = -float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2])
+        return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * max(below, 0.0)
+
+    def _announce_opened(self, t: float, closed: list[int], touching: list[int], near: list[int]) -> None:
+        """Announce what has been thrown off by what others have struck, and what has struck besides."""
+        for i in closed:
+            opened = self.system.contact_int[i, MODE] == FREE
+            if i in near and not opened:
+                self.reports.announce(t, i, "touch")
+            elif opened and i not in near and i not in touching:
+                self.reports.announce(t, i, "separate")
 
     def _slips(self) -> tuple[np.ndarray, bool]:
         """Speeds in m/s of the slips of closed contacts that have dry friction, and of hops that would end turning
@@ -316,12 +321,6 @@ class Impacts:
         system.v[:] += change
         self.rk.keep_velocity()
         self.changes.evaluate_rows(t)
-
-    def _leaves(self, i: int, leaving: float, height: float) -> bool:
-        """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than `height` in m is none."""
-        system = self.system
-        falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
-        return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * height
 
     def _return_lift(self, t: float, energy: float, struck: np.ndarray, kinetic: float) -> None:
         """After an impact of contacts that had penetrated, and have been lifted out.

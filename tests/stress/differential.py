@@ -13,6 +13,7 @@ their time, whether a solution existed.
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import sys
 import time
@@ -51,6 +52,8 @@ CLOSE = {"DOP853": 1e-6, "Sharp98": 1e-6, "RK45": 1e-6, "RK23": 1e-5}
 # tolerances, it falls to the last part:
 # what begins with a square root, a graze or a rebound, goes with a power of them below one, and rebounds may be many.
 CONVERGING, FALLS_TO = 1e2, 0.2
+# m: what bodies overlap by, at most: slips in slow friction and rebounds that end
+INSIDE, INSIDE_STEPS = 1e-4, 2.0
 # m/s and rad/s that rebounds which end take or leave: 1 mm/s at a tenth of a metre
 REST = 1e-2
 # Energy made, over the largest kinetic energy: by errors of the tolerance, and of first order of a time step.
@@ -152,6 +155,41 @@ def gain(run: pc.Trajectory, passive: bool, stepped: bool) -> float:
     if passive:
         found = max(found, float((energies.total - np.minimum.accumulate(energies.total)).max()))
     return found / scale
+
+
+def samples(contour: pc.Contour) -> np.ndarray:
+    """Points all over a contour of finite extent, (n, 3), in its own frame."""
+    ends = np.array(contour.domain, dtype=float).reshape(-1, 2)
+    if not np.isfinite(ends).all():
+        return np.zeros((0, 3))
+    lines = [np.linspace(low, high, 720 if len(ends) == 1 else 180) for low, high in ends]
+    parameters = np.array(list(itertools.product(*lines)))
+    return contour.evaluate_many(parameters.reshape(len(parameters), len(ends)))[:, 0]
+
+
+def overlap(motion: Motion, run: pc.Trajectory) -> np.ndarray:
+    """How far in m bodies are below the grounds that they may touch, at every output: by samples of all of the body, not
+    by the nearest points that the run knows. Of grounds that are fixed planes and height fields, half a metre inside
+    their ends, which are edges that nobody declared."""
+    scene, data = motion.scene, motion.scene.model.createData()
+    deepest = np.zeros(len(run.q))
+    pairs = {(c.first.name, c.second.name): c for c in scene.contacts.values() if not c.bilateral and c.side != -1}
+    for contact in pairs.values():
+        body, ground = contact.first, contact.second
+        shape = ground.contour
+        if not isinstance(shape, (pc.Plane, pc.HeightField)) or ground.motion or shape.time_dependent:
+            continue
+        points, ends = samples(body.contour), np.array(shape.domain)
+        for i, q in enumerate(run.q):
+            pin.forwardKinematics(scene.model, data, q)
+            onto = (data.oMi[ground.joint] * ground.placement_in_joint).actInv(
+                data.oMi[body.joint] * body.placement_in_joint
+            )
+            x = points @ onto.rotation.T + onto.translation
+            x = x[((x[:, :2] > ends[:, 0] + 0.5) & (x[:, :2] < ends[:, 1] - 0.5)).all(axis=1)]
+            if len(x):
+                deepest[i] = max(deepest[i], float((shape.evaluate_many(x[:, :2])[:, 0, 2] - x[:, 2]).max()))
+    return deepest
 
 
 def first_over(apart: np.ndarray, allowed: np.ndarray | float) -> int | None:
@@ -288,6 +326,9 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
         made = gain(run, runs.motion.passive, stepped=True)
         if run.status == 0 and made > GAIN_STEPS:
             finding.wrong.append(f"steps of {step}: gains {made:.1e} of its energy")
+        inside = overlap(runs.motion, run).max(initial=0.0)
+        if inside > INSIDE_STEPS * step * max(1.0, float(np.abs(run.v).max(initial=0.0))):
+            finding.wrong.append(f"steps of {step}: bodies are {inside:.1e} m inside each other")
     if first.status != 0:
         solution = solution_after(runs, "steps", first, exact, method="Moreau", step=STEP)
         finding.ends.append((f"steps: {first.status}: {first.message}", solution))
@@ -352,6 +393,9 @@ def _check(seed: int, finding: Finding) -> None:
         made = gain(run, motion.passive, stepped=False)
         if run.status == 0 and made > GAIN:
             finding.wrong.append(f"{name} ({method}): gains {made:.1e} of its energy")
+        inside = overlap(other if name == "turned" else motion, run).max(initial=0.0)
+        if inside > INSIDE:
+            finding.wrong.append(f"{name} ({method}): bodies are {inside:.1e} m inside each other")
         if run.status != 0:
             solution = solution_after(runs, name, run, exact, method=method) if name == "default" else ""
             finding.ends.append((f"{name} ({method}): {run.status}: {run.message}", solution))

@@ -168,9 +168,9 @@ def samples(contour: pc.Contour) -> np.ndarray:
 
 
 def overlap(motion: Motion, run: pc.Trajectory) -> np.ndarray:
-    """How far in m bodies are below the grounds that they may touch, at every output: by samples of all of the body, not
-    by the nearest points that the run knows. Of grounds that are fixed planes and height fields, half a metre inside
-    their ends, which are edges that nobody declared."""
+    """How far in m bodies are below the grounds that they may touch, at every output: by samples of all of the body,
+    not by the nearest points that the run knows. Of grounds that are fixed planes and height fields, half a metre
+    inside their ends, which are edges that nobody declared."""
     scene, data = motion.scene, motion.scene.model.createData()
     deepest = np.zeros(len(run.q))
     pairs = {(c.first.name, c.second.name): c for c in scene.contacts.values() if not c.bilateral and c.side != -1}

@@ -228,7 +228,7 @@ class Impacts:
                     penetration.tolerate(i, below)
 
     def _leaves(self, i: int, below: float) -> bool:
-        """Whether contact i leaves what it has struck; from inside it would have to rise by `below` in m, if positive."""
+        """Whether contact i leaves what it has struck; inside it would have to rise by `below` in m, if positive."""
         leaving, system = gap_rate(self.system, i), self.system
         falling = -float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2])
         return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * max(below, 0.0)

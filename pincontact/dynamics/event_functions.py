@@ -121,6 +121,9 @@ def contact_event_functions(system):
         )
         if integers[MODE] == FREE:
             value[GAP_EVENT] = system.gaps[c, 0]
+            if numbers[DOMAIN] < 0.0:
+                # beside a contour nothing touches, on whichever side of what it would go on as
+                value[GAP_EVENT] = max(system.gaps[c, 0], -numbers[DOMAIN])
         else:
             value[DOMAIN_EVENT] = numbers[DOMAIN]
             if integers[UNILATERAL] != 0:

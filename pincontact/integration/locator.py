@@ -18,7 +18,6 @@ from ..arrays import array_entry
 from ..dynamics.event_functions import FORCE_EVENTS
 from ..jit import REAL
 from ..layout import (
-    DOMAIN,
     DOMAIN_EVENT,
     EVENT,
     EVENTS_PER_CONTACT,
@@ -76,8 +75,7 @@ class EventLocator:
     """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
 
     depths: (items,) how much deeper in m or rad than their resolution open contacts, and joints beyond their ends, may
-    be; others change it. open_contacts: which contacts may touch; is told whose gaps fall through zero beyond an end of
-    a contour.
+    be; others change it. open_contacts: which contacts may touch; is told which ones come into a domain from behind.
     """
 
     def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
@@ -169,18 +167,19 @@ class EventLocator:
         return found
 
     def _ends_mode(self, t: float, step: float, c: int, kind: int, known: dict[tuple[int, int], float]) -> bool:
-        """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does
-        between points inside both domains only. known: zeros, which is added to."""
+        """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does where
+        it is zero, and not where the contact comes into a domain from behind. known: zeros, which is added to."""
         if kind != GAP_EVENT or c >= self.system.nc:
             return True
         system = self.system
         system.counters["sought_item"], system.counters["sought_kind"] = c, kind
         system.run(FIND_ZERO, t, step)
         known[c, kind] = system.scan_shares.item(LOOK_ROW)
-        inside = bool(system.scan_status[LOOK_ROW] <= EVENT and system.contact_real[c, DOMAIN] >= 0.0)
-        if not inside:
+        allowed = max(system.gap_accuracy.item(c), system.slack.item(c, kind))
+        touches = bool(system.scan_status[LOOK_ROW] <= EVENT and system.gaps[c, 0] >= -allowed)
+        if not touches:
             self._open.passed.add(c)
-        return inside
+        return touches
 
     def _earliest(
         self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]

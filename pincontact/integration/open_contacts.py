@@ -65,7 +65,7 @@ class OpenContacts:
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     trouble, where: why `look` has found that steps cannot go on, and at which contact.
     relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
-    passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
+    passed: contacts that came into a domain from behind in the last step, or whose gap was not seen to fall through zero.
     """
 
     def __init__(self, system: RunSystem) -> None:
@@ -97,10 +97,11 @@ class OpenContacts:
         """The evaluated state is that at which a run starts; slack: what its gap may be below zero, in m."""
         system = self.system
         for c in self._list():
-            leaves = system.contact_real[c, DOMAIN] < 0.0 or gap_rate(system, c) > rest_speed(system)
-            allowed = (APART_AT_END if leaves else SHALLOW) * system.contact_real[c, LENGTH]
-            self.apart[c] = system.gaps[c, 0] >= -max(slack(c), allowed)
-            if system.gaps[c, 0] < 0.0 and self.apart[c]:
+            allowed = (APART_AT_END if gap_rate(system, c) > rest_speed(system) else SHALLOW)
+            allowed *= system.contact_real[c, LENGTH]
+            beside = system.contact_real[c, DOMAIN] < 0.0
+            self.apart[c] = beside or system.gaps[c, 0] >= -max(slack(c), allowed)
+            if system.gaps[c, 0] < 0.0 and self.apart[c] and not beside:
                 self._shallow.add(c)
 
     def note(self, slack: Callable[[int], float] | None) -> None:
@@ -109,7 +110,8 @@ class OpenContacts:
         system = self.system
         for c, mode in enumerate(system.modes.tolist()):
             gap = system.gaps.item(c, 0)
-            if mode != FREE or 0.0 <= gap < NOTHING_THERE:
+            beside = system.contact_real.item(c, DOMAIN) < 0.0 and gap < NOTHING_THERE
+            if mode != FREE or beside or 0.0 <= gap < NOTHING_THERE:
                 self.apart[c] = True
                 self._shallow.discard(c)
             elif c in self.passed or (slack is not None and gap < -slack(c)):

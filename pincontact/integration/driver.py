@@ -405,7 +405,7 @@ class Driver:
         failure = projection_failure(self.system, t)
         self.rk.load(state)
         self._allow_start(t, step)
-        after = self.transitions.let_joints_give(t, failure)
+        after = self.transitions.give_way(t, failure)
         self._after(after)
         return after
 

@@ -133,6 +133,17 @@ class SlipOnset:
         tau = self._trial_step(t, tau)
         return self._end(t, tau, system.new_state)
 
+    @property
+    def shortest_start(self) -> float:
+        """Time in s of the shortest start of slip that is followed."""
+        return _SHORTEST_START * self.seed
+
+    def go_on(self, t: float) -> float:
+        """A short step of slip which is there already, too slow to be known, and has been given a direction that is to
+        show in v_c."""
+        tau = self._trial_step(t, min(self.shortest_start, self.until_touch(), self.left))
+        return self._end(t, tau, self.system.new_state)
+
     def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
         """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
         system = self.system
@@ -220,7 +231,7 @@ class SlipOnset:
         redundant = system.counters["row_rank"] < system.counters["row_count"]
         # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
         if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
-            took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
+            took = self._follow(t, dict.fromkeys(items, 2), span, self.shortest_start)
             if took is None:
                 self._lost.update(items)
             elif self._shows(t + took, items):

@@ -17,10 +17,10 @@ from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
 from ..layout import (
     DOMAIN_EVENT,
+    EVENT,
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
-    JOINT_END,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -325,23 +325,25 @@ class Transitions:
         self.changes.end_jams(t, sliding)
         return self.onset.start(t)
 
-    def let_joints_give(self, t: float, failure: Stop) -> float:
-        """Go on from a state that cannot be projected on constraints which depend on each other; the new time.
+    def give_way(self, t: float, failure: Stop) -> float:
+        """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.
 
-        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound. Dry
-        friction of joints has a bound: these give way, as in an impact, which changes the velocity next to nothing.
-        Where that will not do `failure` is raised.
+        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound.
+        Friction has a bound: what it holds gives way, which changes the velocity next to nothing. Where that will not
+        do `failure` is raised.
         """
-        system, changes = self.system, self.changes
-        if all(end != 0 for end in system.joint_int[system.held(), JOINT_END].tolist()):
+        changes, modes, held = self.changes, self.system.contact_int[:, MODE].copy(), self.system.held()
+        changes.evaluate_rows(t)
+        decision = self.modes.let_slide(t, self.rk.evaluate, self.onset.shortest_start)
+        started = [c for c in decision.started if modes[c] == STICK]
+        if decision.status > EVENT or not (started or self.system.held() != held):
             raise failure
-        before = system.v.copy()
-        after = self.impacts.collide(t, [], {})
-        changes.evaluate_accepted(after)
-        taken, _, allowed = self.modes.taken_from(before)
-        if taken > allowed:
-            raise failure
-        return after
+        changes.project(t)
+        for c in started:
+            self.reports.announce_friction(t, c, True)
+        self.joints.announce_changes(t)
+        self.rk.accept()
+        return self.onset.go_on(t)
 
     # ---------------------------------------------------------------- accepted states
 

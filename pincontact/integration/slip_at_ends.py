@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
+from ..dynamics.equations import list_constraints
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import NOTHING, kernel
@@ -29,7 +30,7 @@ from ..layout import (
     SYSTEM,
     TANGENTS,
 )
-from ..linalg import inner, whiten
+from ..linalg import RANK_TOLERANCE, inner, subtract_row, whiten
 
 # No step goes further than this fraction of the way to the end of slip, or than all of it but this many times the error
 # with which that is foretold, and this fraction; that where the way is shorter than this part of the last step, so that
@@ -79,10 +80,47 @@ def note_end(system):
             for k in range(nv):
                 value += abs(line[k]) * (absolute + relative * abs(v[k]))
             allowed = max(allowed, value)
+        if number[START_RATE] < 0.0 and number[START_SPEED] <= allowed * 2.0**STOP_DOUBLINGS:
+            allowed = max(allowed * _part_left(system, c), _SMALLEST_STOP_SPEED)
         number[START_TOLERANCE] = allowed
         _foretell_stop(system, c, before, rate)
         number[LAST_SPEED], number[LAST_RATE], number[LAST_STEP] = before, rate, system.scalars.step
     system.scalars.turning_rate = turning
+
+
+@kernel
+def _part_left(system, c):
+    """The part of slip c's row, in the mass metric, that the constraints of the other rows leave: the less, the more of
+    the velocity goes with the slip when it ends. Wheels on one axle leave next to nothing of each other's rows."""
+    nv, count, rows, line = system.sizes.nv, list_constraints(system)[0], system.whitened_rows, system.work
+    whole = _along_slip(system, c, line)
+    rank = 0
+    for r in range(count):
+        own = rows[r]
+        before = inner(own, own, nv)
+        for k in range(rank):
+            subtract_row(own, rows[k], inner(own, rows[k], nv))
+        left = inner(own, own, nv)
+        # as rows depend on each other where forces are found
+        if left > RANK_TOLERANCE * before:
+            inverse = 1.0 / math.sqrt(left)
+            for k in range(nv):
+                rows[rank, k] = own[k] * inverse
+            rank += 1
+    for k in range(rank):
+        subtract_row(line, rows[k], inner(line, rows[k], nv))
+    return math.sqrt(inner(line, line, nv) / whole) if whole > 0.0 else 1.0
+
+
+@kernel
+def _along_slip(system, c, line):
+    """line = the whitened row of slip c along its direction, times its speed; its square."""
+    nv, basis, rows, slip = system.sizes.nv, system.basis[c], system.rows[c], system.slip[c]
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    for k in range(nv):
+        line[k] = first * rows[0, k] + second * rows[1, k]
+    whiten(system.factor, system.parents, nv, line, line)
+    return inner(line, line, nv)
 
 
 @kernel

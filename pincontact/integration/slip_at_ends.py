@@ -90,37 +90,38 @@ def note_end(system):
 
 @kernel
 def _part_left(system, c):
-    """The part of slip c's row, in the mass metric, that the constraints of the other rows leave: the less, the more of
-    the velocity goes with the slip when it ends. Wheels on one axle leave next to nothing of each other's rows."""
-    nv, count, rows, line = system.sizes.nv, list_constraints(system)[0], system.whitened_rows, system.work
-    whole = _along_slip(system, c, line)
-    rank = 0
-    for r in range(count):
-        own = rows[r]
-        before = inner(own, own, nv)
+    """The part of slip c's row, in the mass metric, that its other tangent and the constraints of all others leave: the
+    less, the more of the velocity goes with the slip when it ends. Of wheels on one axle it is next to nothing."""
+    nv, count, rows = system.sizes.nv, list_constraints(system)[0], system.whitened_rows
+    basis, slip = system.basis[c], system.slip[c]
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    # there is room for the tangents, which have no rows
+    _whiten_tangent(system, c, -second, first, rows[count])
+    _whiten_tangent(system, c, first, second, rows[count + 1])
+    rank, left = 0, 1.0
+    for r in range(count + 2):
+        own, before = rows[r], inner(rows[r], rows[r], nv)
         for k in range(rank):
             subtract_row(own, rows[k], inner(own, rows[k], nv))
-        left = inner(own, own, nv)
+        square = inner(own, own, nv)
+        left = square / before if before > 0.0 else 1.0
         # as rows depend on each other where forces are found
-        if left > RANK_TOLERANCE * before:
-            inverse = 1.0 / math.sqrt(left)
+        if square > RANK_TOLERANCE * before:
+            inverse = 1.0 / math.sqrt(square)
             for k in range(nv):
                 rows[rank, k] = own[k] * inverse
             rank += 1
-    for k in range(rank):
-        subtract_row(line, rows[k], inner(line, rows[k], nv))
-    return math.sqrt(inner(line, line, nv) / whole) if whole > 0.0 else 1.0
+    # what depends on the others is not ended by them
+    return math.sqrt(left) if left > RANK_TOLERANCE else 1.0
 
 
 @kernel
-def _along_slip(system, c, line):
-    """line = the whitened row of slip c along its direction, times its speed; its square."""
-    nv, basis, rows, slip = system.sizes.nv, system.basis[c], system.rows[c], system.slip[c]
-    first, second = dot(basis[0], slip), dot(basis[1], slip)
-    for k in range(nv):
-        line[k] = first * rows[0, k] + second * rows[1, k]
-    whiten(system.factor, system.parents, nv, line, line)
-    return inner(line, line, nv)
+def _whiten_tangent(system, c, first, second, out):
+    """out = L^-T (first, second) . rows of the tangents of item c."""
+    rows = system.rows[c]
+    for k in range(system.sizes.nv):
+        out[k] = first * rows[0, k] + second * rows[1, k]
+    whiten(system.factor, system.parents, system.sizes.nv, out, out)
 
 
 @kernel
@@ -206,11 +207,9 @@ def _turning_rate(system, c):
     """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
     nv, force, work = system.sizes.nv, system.force[c], system.work
-    basis, rows, slip = system.basis[c], system.rows[c], system.slip[c]
+    basis, slip = system.basis[c], system.slip[c]
     first, second = dot(basis[0], slip), dot(basis[1], slip)
-    for k in range(nv):
-        work[k] = first * rows[1, k] - second * rows[0, k]
-    whiten(system.factor, system.parents, nv, work, work)
+    _whiten_tangent(system, c, -second, first, work)
     speed = math.hypot(first, second)
     return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 

@@ -101,6 +101,7 @@ class SlipOnset:
         # the cube root of the relative tolerance, and no more than a hundredth of the run
         cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
         self.seed = min(cube_root, 1e-2 * span if span > 0.0 else 1.0)
+        changes.ahead = _SHORTEST_START * self.seed
 
     def resolve(
         self,
@@ -123,7 +124,9 @@ class SlipOnset:
         if not frozen:
             return t
         tau = min(self.seed**1.5, self.until_touch(), self.left)
-        if self._starts_slowly(t, frozen):
+        if self._goes_on(t, frozen, tau):
+            tau = min(self.changes.ahead, tau)
+        elif self._starts_slowly(t, frozen):
             slowest = min(self.system.contact_real[frozen, SLIP_RATE].tolist())
             took = self._follow(t, dict.fromkeys(frozen, 1), max(self.longest, self._until_shown(slowest, 1)), tau)
             if took is not None:
@@ -133,16 +136,13 @@ class SlipOnset:
         tau = self._trial_step(t, tau)
         return self._end(t, tau, system.new_state)
 
-    @property
-    def shortest_start(self) -> float:
-        """Time in s of the shortest start of slip that is followed."""
-        return _SHORTEST_START * self.seed
-
-    def go_on(self, t: float) -> float:
-        """A short step of slip which is there already, too slow to be known, and has been given a direction that is to
-        show in v_c."""
-        tau = self._trial_step(t, min(self.shortest_start, self.until_touch(), self.left))
-        return self._end(t, tau, self.system.new_state)
+    def _goes_on(self, t: float, frozen: list[int], tau: float) -> bool:
+        """Whether any of these slips is there already, and faster than what it grows by within tau s."""
+        self.rk.load(self.system.state)
+        if self.rk.evaluate(t) > EVENT:
+            return False
+        rates = self.system.contact_real[frozen, SLIP_RATE].tolist()
+        return any(self.changes.slip_speed(c) > tau * abs(rate) for c, rate in zip(frozen, rates))
 
     def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
         """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
@@ -231,7 +231,7 @@ class SlipOnset:
         redundant = system.counters["row_rank"] < system.counters["row_count"]
         # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
         if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
-            took = self._follow(t, dict.fromkeys(items, 2), span, self.shortest_start)
+            took = self._follow(t, dict.fromkeys(items, 2), span, self.changes.ahead)
             if took is None:
                 self._lost.update(items)
             elif self._shows(t + took, items):

@@ -17,7 +17,6 @@ from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
 from ..layout import (
     DOMAIN_EVENT,
-    EVENT,
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
@@ -332,18 +331,14 @@ class Transitions:
         Friction has a bound: what it holds gives way, which changes the velocity next to nothing. Where that will not
         do `failure` is raised.
         """
-        changes, modes, held = self.changes, self.system.contact_int[:, MODE].copy(), self.system.held()
-        changes.evaluate_rows(t)
-        decision = self.modes.let_slide(t, self.rk.evaluate, self.onset.shortest_start)
-        started = [c for c in decision.started if modes[c] == STICK]
-        if decision.status > EVENT or not (started or self.system.held() != held):
+        changes, modes = self.changes, self.system.contact_int[:, MODE].copy()
+        if not changes.let_slide(t):
             raise failure
-        changes.project(t)
-        for c in started:
+        for c in np.flatnonzero((modes == STICK) & (self.system.contact_int[:, MODE] == SLIPPING)).tolist():
             self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
         self.rk.accept()
-        return self.onset.go_on(t)
+        return self.onset.start(t)
 
     # ---------------------------------------------------------------- accepted states
 

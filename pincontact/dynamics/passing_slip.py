@@ -115,8 +115,11 @@ class PassingSlip:
         moving = (lengths > 0.0) & np.isfinite(lengths)
         return index[moving, 0], index[moving, 1], whitened[moving] / lengths[moving, None], lengths[moving]
 
+    def negligible(self) -> float:
+        """What constraints may take from the velocity, in the mass metric of the last evaluation."""
+        return self._negligible(mass_norm(self.system.factor, self.system.v))
+
     def _negligible(self, speed: float) -> float:
-        """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * root_of_squares(self.system.factor))
 

@@ -36,6 +36,8 @@ from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
 _LEAVING_SPEED = 1e-3 * REST_SPEED
+# What stops takes so many times more where constraints are next to dependent than each of them does.
+_NEXT_TO_DEPENDENT = 1e2
 # Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
 _FASTER = 2.0
 
@@ -54,6 +56,8 @@ class Impacts:
         self._rubbing = np.zeros(0)
         # and whether friction alone, of ideal rolling, holds one of them up
         self._rubs_alone = False
+        # what goes on after the last impact, however low its hop
+        self._lasting: set[int] = set()
         # modes, slips, q and v before the last impact
         self._before = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
@@ -214,23 +218,43 @@ class Impacts:
     def _open_leaving(self, t: float, closed: list[int], touching: list[int], near: list[int]) -> None:
         """Open the contacts that leave what they have struck; announce those that nobody else does."""
         system = self.system
-        for i in closed:
-            if not system.contact_int[i, UNILATERAL]:
-                continue
-            leaving, below = gap_rate(system, i), -float(system.gaps[i, 0])
-            lowest = self._resolution_of_hops(i, leaving)
-            if self._leaves(i, leaving, max(below - self.penetration.accuracy(i), 0.0) + lowest):
-                system.contact_int[i, MODE] = FREE
-                self.penetration.thrown_off.add(i)
-                if i not in touching and i not in near:
-                    # thrown off by what others have struck
-                    self.reports.announce(t, i, "separate")
-                if below > lowest:
-                    # rebounds from where it is
-                    self.penetration.tolerate(i, below)
+        speeds = {i: gap_rate(system, i) for i in closed}
+        lowest = {i: self._resolution_of_hops(i, speed) for i, speed in speeds.items()}
+        below = {i: -float(system.gaps[i, 0]) for i in closed}
+        leaving = [
+            i
+            for i, speed in speeds.items()
+            if system.contact_int[i, UNILATERAL]
+            and self._leaves(i, speed, max(below[i] - self.penetration.accuracy(i), 0.0) + lowest[i])
+        ]
+        kept = {i: speed for i, speed in speeds.items() if i not in leaving}
+        self._lasting = set() if self._stops_alone(kept) else {i for i in kept if self._leaves(i, kept[i], 0.0)}
+        for i in [*leaving, *self._lasting]:
+            system.contact_int[i, MODE] = FREE
+            self.penetration.thrown_off.add(i)
+            if i not in touching and i not in near:
+                # thrown off by what others have struck
+                self.reports.announce(t, i, "separate")
+            if below[i] > lowest[i]:
+                # rebounds from where it is
+                self.penetration.tolerate(i, below[i])
         for i in near:
             if system.contact_int[i, MODE] != FREE:
                 self.reports.announce(t, i, "touch")
+
+    def _stops_alone(self, speeds: dict[int, float]) -> bool:
+        """Whether what leaves in these contacts, at these speeds in m/s, can be stopped by about what each of them
+        takes. Where constraints are next to dependent, as of four wheels that drive over uneven ground, to stop hops,
+        however low, may take any part of the velocity."""
+        system = self.system
+        if len(speeds) < 2:
+            return True
+        rows = np.array([whiten(system, system.rows[i, 2]) for i in speeds])
+        lengths, wanted = np.linalg.norm(rows, axis=1), np.array([*speeds.values()])
+        moving = lengths > 0.0
+        rows, alone = rows[moving] / lengths[moving, None], wanted[moving] / lengths[moving]
+        taken = float(np.linalg.norm(np.linalg.lstsq(rows, alone, rcond=REDUNDANT)[0]))
+        return taken <= max(_NEXT_TO_DEPENDENT * float(np.abs(alone).sum()), self.changes.modes.negligible())
 
     def _joint_leaves(self, g: int) -> bool:
         system = self.system
@@ -386,7 +410,7 @@ class Impacts:
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             stops = [g for g in stops if system.nc + g not in lasting]
-            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
+            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c) and c not in self._lasting]
             if not (slips or stops or hops or touches):
                 return
             for c in touches:

@@ -31,7 +31,7 @@ from ..layout import (
 )
 from .accuracy import count_hop, gap_rate, gap_resolution, may_stop, rest_speed
 from .penetration import Penetration
-from .results import ADVICE, FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
+from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
@@ -164,7 +164,7 @@ class Impacts:
         impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near}, jammed)
         if impact is None:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
-            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
+            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
         self.rk.keep_velocity()
         struck, kinetic = system.v.copy(), changes.energies()[0] if deep else 0.0
         changes.count_works(impact.contacts, impact.drives, impact.joints)
@@ -377,7 +377,7 @@ class Impacts:
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "
-                f"{own:.3g} J; {ADVICE}",
+                f"{own:.3g} J",
             )
         kept = min(max(1.0 - excess / own, 0.0), 1.0) if own > 0.0 else 0.0
         velocity[:] = driven + math.sqrt(kept) * (whole - driven)

@@ -30,7 +30,7 @@ from ..layout import (
 from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
 from .equations import PAINLEVE_LIMIT
-from .units import ContactProblem, unwhiten, whitened_velocity
+from .units import ContactProblem, relative_velocity, unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -132,9 +132,7 @@ class _Problem(ContactProblem):
         integers = system.contact_int
 
         def relative(item: int, rows: list[int]) -> np.ndarray:
-            # of joint coordinates the third number is the velocity itself
-            on_joint = system.nc <= item < system.nc + system.ng
-            speed = system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
+            speed = relative_velocity(system, item, rows)
             if ahead > 0.0:
                 speed = speed + ahead * (system.rows[item, rows] @ system.free_acceleration + system.bias[item, rows])
             return speed

@@ -24,7 +24,7 @@ from ..layout import (
 )
 from .contact_modes import held_up_by_friction
 from .directions import slip_direction
-from .units import ContactProblem, unwhiten, whiten
+from .units import ContactProblem, relative_velocity, unwhiten, whiten
 
 if TYPE_CHECKING:
     from .system import System
@@ -74,8 +74,9 @@ class LoadedCones:
         """Made when the first problem with loads is posed."""
         return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
-    def _pose(self, closed: list[int], held: list[int]) -> ContactProblem:
-        """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does."""
+    def _pose(self, closed: list[int], held: list[int], ahead: float = math.inf) -> ContactProblem:
+        """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does. ahead:
+        time in s in which friction is to end the slip velocities of what sticks, as in a time step of that size."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         slides = integers[:, MODE] == SLIPPING
@@ -85,7 +86,17 @@ class LoadedCones:
         joints, free = [system.nc + g for g in held], system.free_acceleration
         if held:
             free = free + unwhiten(system, whiten(system, self._push(held) @ system.rows[joints, 2]))
-        problem = ContactProblem(system, lambda i, rows: system.rows[i, rows] @ free + system.bias[i, rows])
+        at_ends = {system.nc + g for g in held if system.joint_int[g, JOINT_END] != 0}
+
+        def relative(i: int, rows: list[int]) -> np.ndarray:
+            rates = system.rows[i, rows] @ free + system.bias[i, rows]
+            if ahead < math.inf and not slides[i] and i not in at_ends:
+                stopped = relative_velocity(system, i, rows) / ahead
+                # normals are met
+                rates += np.where((np.array(rows) == 2) & (i < system.nc), 0.0, stopped)
+            return rates
+
+        problem = ContactProblem(system, relative)
         problem.add_contacts(closed, mu)
         for item, u in problem.units.items():
             if slides[item] and mu[item] > 0.0:

@@ -15,6 +15,7 @@ complementarity at acceleration level. They are resolved in this order:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -211,15 +212,27 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return closing, full
 
-    def _solve_contacts(self, t: float, evaluate: Callable[[float], int]) -> Decision:
-        """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances."""
+    def let_slide(self, t: float, evaluate: Callable[[float], int], ahead: float) -> Decision:
+        """Let slide, of what sticks or is held, what friction cannot stop within `ahead` s, from the last evaluation.
+
+        Rows that have depended on each other may become independent, and the velocity does not meet them: by slip much
+        slower than it is known, which to end would take any part of the velocity, and so forces without bound. Friction
+        has bounds: that slip goes on, against all of it, as with compliances, however stiff.
+        """
+        self._take_reference(None)
+        self._limits = self.system.contact_real[:, MU_STATIC].copy()
+        return self._solve_contacts(t, evaluate, ahead)
+
+    def _solve_contacts(self, t: float, evaluate: Callable[[float], int], ahead: float = math.inf) -> Decision:
+        """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances; ahead:
+        see `_pose`."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         closed, held = system.closed(), system.held()
         items = [*closed, *system.resisting()]
         decision = Decision(OK, solved=True)
         while True:
-            solution = self._solve_posed(self._pose(closed, held), held)
+            solution = self._solve_posed(self._pose(closed, held, ahead), held)
             if solution is None:
                 decision.status = NO_FORCE
                 return decision

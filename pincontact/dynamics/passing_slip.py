@@ -27,6 +27,8 @@ _UNHELD = 1e-6
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
+# What errors of steps explain, in tolerances.
+EXPLAINED = 1e3
 # Relative size below which singular values are zero, as pivots are in `linalg`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -113,17 +115,26 @@ class PassingSlip:
         moving = (lengths > 0.0) & np.isfinite(lengths)
         return index[moving, 0], index[moving, 1], whitened[moving] / lengths[moving, None], lengths[moving]
 
+    def negligible(self) -> float:
+        """What constraints may take from the velocity, in the mass metric of the last evaluation."""
+        return self._negligible(mass_norm(self.system.factor, self.system.v))
+
     def _negligible(self, speed: float) -> float:
-        """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * root_of_squares(self.system.factor))
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
-        """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
-        explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
+        """How far the velocity is from what it was, how large that was, and how far it may be at most: in the mass
+        metric of the last evaluation, in which half a square is an energy."""
         system = self.system
         speed = mass_norm(system.factor, before)
         return mass_norm(system.factor, system.v - before), speed, self._negligible(speed)
+
+    def explained(self, speed: float) -> float:
+        """How far a velocity of this size may be from what it was for errors of steps to explain it, where slips have
+        ended: what counts as ended is so far from zero."""
+        rtol, atol = self.system.scale.tolist()
+        return EXPLAINED * (rtol * speed + atol * root_of_squares(self.system.factor))
 
 
 _MATRIX = REAL[:, ::1]

@@ -249,6 +249,14 @@ class ContactProblem:
         return out.reshape(-1)
 
 
+def relative_velocity(system: System, item: int, rows: list[int]) -> np.ndarray:
+    """v_c of a contact along these rows of its basis, what a resistance turns with, or a joint coordinate's velocity,
+    which is its third number, from the last evaluation."""
+    on_joint = system.nc <= item < system.nc + system.ng
+    speeds: np.ndarray = system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
+    return speeds
+
+
 def contact_rows(tangents: int) -> tuple[int, ...]:
     """Rows of a contact with this many tangents."""
     return (0, 2) if tangents == 1 else (0, 1, 2)

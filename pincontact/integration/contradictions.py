@@ -9,7 +9,7 @@ from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .projection import CONTRADICTING
-from .results import ADVICE, FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
+from .results import FAILURES, NO_CONTACT_FORCE, STEP_TOO_SMALL, TOUCHES_TWICE, Stop
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
@@ -38,6 +38,7 @@ def jump_apart(t: float, name: str, gap: float) -> Stop:
     return Stop(
         STEP_TOO_SMALL,
         f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {name!r} {gap:.3g} m apart at once",
+        blocked=True,
     )
 
 
@@ -47,6 +48,7 @@ def jump_into(t: float, name: str) -> Stop:
         STEP_TOO_SMALL,
         f"t = {t:.9g} s: the bodies of contact {name!r} are inside each other at once: a motion jumps, or they got "
         "there far from where they were nearest, which a smaller max_step shows",
+        blocked=True,
     )
 
 
@@ -93,5 +95,5 @@ def projection_failure(system: System, t: float) -> Stop:
     return Stop(
         STEP_TOO_SMALL,
         f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the step's "
-        f"error; {ADVICE}",
+        "error",
     )

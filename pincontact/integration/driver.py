@@ -31,8 +31,8 @@ from .events import UserEvent, UserEvents, lost_zeros
 from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output
-from .reports import least_conditioned, left_behind
-from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
+from .reports import left_behind, told
+from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .slip_steps import PATIENCE, STABLE, SlipSteps
 from .steps import (
@@ -123,8 +123,7 @@ class Driver:
         try:
             self._run(t, t_end)
         except Stop as stop:
-            where = least_conditioned(self.system) if stop.code == STEP_TOO_SMALL else ""
-            return stop.code, stop.message + where + lost_zeros(self.users.functions)
+            return stop.code, told(self.system, stop) + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
         said += self._left_behind(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
@@ -405,7 +404,7 @@ class Driver:
         failure = projection_failure(self.system, t)
         self.rk.load(state)
         self._allow_start(t, step)
-        after = self.transitions.let_joints_give(t, failure)
+        after = self.transitions.give_way(t, failure)
         self._after(after)
         return after
 

@@ -31,11 +31,13 @@ from ..layout import (
 )
 from .accuracy import count_hop, gap_rate, gap_resolution, may_stop, rest_speed
 from .penetration import Penetration
-from .results import ADVICE, FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
+from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
 _LEAVING_SPEED = 1e-3 * REST_SPEED
+# What stops takes so many times more where constraints are next to dependent than each of them does.
+_NEXT_TO_DEPENDENT = 1e2
 # Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
 _FASTER = 2.0
 
@@ -54,6 +56,8 @@ class Impacts:
         self._rubbing = np.zeros(0)
         # and whether friction alone, of ideal rolling, holds one of them up
         self._rubs_alone = False
+        # what goes on after the last impact, however low its hop
+        self._lasting: set[int] = set()
         # modes, slips, q and v before the last impact
         self._before = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
@@ -160,7 +164,7 @@ class Impacts:
         impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near}, jammed)
         if impact is None:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
-            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
+            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
         self.rk.keep_velocity()
         struck, kinetic = system.v.copy(), changes.energies()[0] if deep else 0.0
         changes.count_works(impact.contacts, impact.drives, impact.joints)
@@ -214,24 +218,41 @@ class Impacts:
         return near
 
     def _open_leaving(self, closed: list[int]) -> None:
-        """Open the contacts that leave what they have struck."""
+        """Open the contacts that leave what they have struck, however slowly where others cannot be kept beside them."""
         system, penetration = self.system, self.penetration
-        for i in closed:
-            if not system.contact_int[i, UNILATERAL]:
-                continue
-            below = -float(system.gaps[i, 0])
-            if self._leaves(i, below - penetration.accuracy(i)):
-                system.contact_int[i, MODE] = FREE
-                penetration.thrown_off.add(i)
-                if below > gap_resolution(system)[i]:
-                    # rebounds from where it is
-                    penetration.tolerate(i, below)
+        below = {i: -float(system.gaps[i, 0]) for i in closed}
+        unilateral = [i for i in closed if system.contact_int[i, UNILATERAL]]
+        leaving = [i for i in unilateral if self._leaves(i, below[i] - penetration.accuracy(i))]
+        kept = {i: gap_rate(system, i) for i in closed if i not in leaving}
+        self._lasting.clear()
+        if not self._stops_alone(kept):
+            self._lasting.update(i for i in unilateral if kept.get(i, 0.0) > rest_speed(system))
+        for i in [*leaving, *self._lasting]:
+            system.contact_int[i, MODE] = FREE
+            penetration.thrown_off.add(i)
+            if below[i] > gap_resolution(system)[i]:
+                # rebounds from where it is
+                penetration.tolerate(i, below[i])
 
     def _leaves(self, i: int, below: float) -> bool:
         """Whether contact i leaves what it has struck; inside it would have to rise by `below` in m, if positive."""
         leaving, system = gap_rate(self.system, i), self.system
         falling = -float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2])
         return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * max(below, 0.0)
+
+    def _stops_alone(self, speeds: dict[int, float]) -> bool:
+        """Whether what leaves in these contacts, at these speeds in m/s, can be stopped by about what each of them
+        takes. Where constraints are next to dependent, as of four wheels that drive over uneven ground, to stop hops,
+        however low, may take any part of the velocity."""
+        system = self.system
+        if len(speeds) < 2:
+            return True
+        rows = np.array([whiten(system, system.rows[i, 2]) for i in speeds])
+        lengths, wanted = np.linalg.norm(rows, axis=1), np.array([*speeds.values()])
+        moving = lengths > 0.0
+        rows, alone = rows[moving] / lengths[moving, None], wanted[moving] / lengths[moving]
+        taken = float(np.linalg.norm(np.linalg.lstsq(rows, alone, rcond=REDUNDANT)[0]))
+        return taken <= max(_NEXT_TO_DEPENDENT * float(np.abs(alone).sum()), self.changes.modes.negligible())
 
     def _announce_opened(self, t: float, closed: list[int], touching: list[int], near: list[int]) -> None:
         """Announce what has been thrown off by what others have struck, and what has struck besides."""
@@ -352,7 +373,7 @@ class Impacts:
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "
-                f"{own:.3g} J; {ADVICE}",
+                f"{own:.3g} J",
             )
         kept = min(max(1.0 - excess / own, 0.0), 1.0) if own > 0.0 else 0.0
         velocity[:] = driven + math.sqrt(kept) * (whole - driven)
@@ -385,7 +406,7 @@ class Impacts:
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             stops = [g for g in stops if system.nc + g not in lasting]
-            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
+            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c) and c not in self._lasting]
             if not (slips or stops or hops or touches):
                 return
             for c in touches:

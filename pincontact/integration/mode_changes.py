@@ -51,6 +51,8 @@ class ModeChanges:
 
     def __init__(self, rk: RungeKutta, modes: ModeSolver, reports: Reports, joints: JointEvents) -> None:
         self.rk, self.system, self.modes, self.reports, self.joints = rk, rk.system, modes, reports, joints
+        # s: so long slips that are there already, too slow to be known, take to show their directions
+        self.ahead = 0.0
         # directions in which slip began or went on since the last impact
         self.started: dict[int, np.ndarray] = {}
         # whether the state carries the account of works
@@ -121,21 +123,21 @@ class ModeChanges:
 
         at_rest: contacts that have just come to rest and the directions of their slip till then; what slips on as it
         did is no event. silent: announce separations only. beyond: a contact whose static friction has been exceeded.
-        explained: see `project`.
+        explained: see `_settle`.
         """
         system, ending = self.system, self._joints_at_rest()
         at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
         self._hold(ending)
         before, signs = system.contact_int[:, MODE].tolist(), system.contact_int[:, SLIP_SIGN].tolist()
         self.resolve_modes(t, undecided, beyond)
-        self.project(t, True, explained)
+        self._settle(t, explained)
         # what comes to rest may hold more
         stopped = self._stopped(t, before) if at_rest else []
         if stopped:
             self._hold(stopped)
             at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
             self.resolve_modes(t, self.sticking(), beyond)
-            self.project(t, True, explained)
+            self._settle(t, explained)
         self.rk.accept()
         after = system.contact_int[:, MODE].tolist()
         for c in [*range(system.nc), *system.resisting()]:
@@ -354,6 +356,40 @@ class ModeChanges:
                 f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "
                 f"{speed:.3g} in the mass metric, by {taken:.3g}",
             )
+
+    def _settle(self, t: float, explained: bool) -> None:
+        """Put the state, which has been evaluated in modes that have just been decided, on their constraints. Where
+        that takes more from the velocity than slips that have ended, what sticks gives way if it can; explained: by
+        an impact, say, whatever it takes."""
+        if explained:
+            self.project(t, True, explained=True)
+            return
+        before, state = self.system.v.copy(), self.system.stage_state.copy()
+        closes = self.rk.project(t, True)
+        taken, speed, _ = self.modes.taken_from(before)
+        if closes and taken <= self.modes.explained(speed):
+            return
+        self.rk.load(state)
+        if not self.let_slide(t):
+            self.project(t, False)
+
+    def let_slide(self, t: float) -> bool:
+        """Let slide what friction cannot stop, see `ModeSolver.let_slide`, and project the state of stage_state; False
+        where that does not do, and nothing has changed."""
+        system, modes = self.system, self.modes
+        integers, limits, state = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
+        before = system.v.copy()
+        self.evaluate_rows(t)
+        if modes.let_slide(t, self.rk.evaluate, self.ahead).status <= EVENT:
+            changed = (system.contact_int[:, MODE] != integers[:, MODE]).any()
+            if changed and self.rk.project(t, True):
+                taken, speed, _ = modes.taken_from(before)
+                if taken <= modes.explained(speed):
+                    return True
+        system.contact_int[:], system.joint_int[:] = integers, limits
+        self.rk.load(state)
+        self.rk.evaluate(t)
+        return False
 
     def evaluate_accepted(self, t: float) -> None:
         """Load the accepted state and evaluate it in the present modes."""

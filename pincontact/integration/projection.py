@@ -6,6 +6,7 @@ import math
 
 from ..callback import separate_kernel
 from ..dynamics.evaluation import PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
+from ..dynamics.passing_slip import EXPLAINED
 from ..dynamics.resistance import count_items
 from ..jit import BOOLEAN, INTEGER, REAL, kernel
 from ..layout import EVENT, LOCATION_FAILED, OK, SYSTEM
@@ -29,7 +30,7 @@ _LARGEST_CORRECTION = 1e3
 CONTRADICTING, _OF_CORRECTION = 1e-5, 1e2
 # What a projection may change q and v by, in the step's errors, or relative to them, whichever is more: no error of a
 # step is larger, not even where a contour is smooth between its knots only.
-_EXPLAINED, _LEAST_EXPLAINED = 1e3, 1e-6
+_LEAST_EXPLAINED = 1e-6
 # Gap in m that it may leave where corrections do not get small.
 _PROJECTED_GAP = 1e-11
 
@@ -86,7 +87,7 @@ def project(system, t, evaluated, purpose, error):
         change = correct_state(system)
         if _contradicts(system):
             return CONTRADICTION
-        explained = max(_EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0) if error < math.inf else error
+        explained = max(EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0) if error < math.inf else error
         if i == 0 and change > explained:
             return LOCATION_FAILED
         close = change <= _CLOSE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -18,9 +19,21 @@ from ..layout import (
     NO_FORCE,
     SINGULAR,
     SLIPPING,
+    STICK,
     UNILATERAL,
 )
-from .results import ADVICE, CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
+from .results import (
+    ADVICE,
+    CHATTER,
+    FAILURES,
+    MORE_STEPS,
+    NO_CONTACT_FORCE,
+    SINGULAR_CONTACT,
+    STEP_LIMIT,
+    STEP_TOO_SMALL,
+    Event,
+    Stop,
+)
 from .runge_kutta import RungeKutta
 
 # Chatter: so many mode changes within this fraction of the run, or so many within this fraction of it (and at most
@@ -29,10 +42,13 @@ from .runge_kutta import RungeKutta
 _CHATTER_EVENTS, _CHATTER_SPAN = 40, 1e-9
 _DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
 _REBOUNDS, _INSTANT = 2000, 1e-12
-# Contacts named in the message.
-_CHATTER_NAMES = 3
+# Contacts named in a message.
+_NAMES = 3
 # Below this conditioning of the location equations, a failure is that of a contact that degenerates.
 _DEGENERATE = 1e-5
+# And one below which steps may fail because of it: errors of contact coordinates are larger than those of gaps by its
+# inverse.
+_POOR = 1e-2
 
 
 # Open contacts deeper than this part of their length are told; ideal rolling that is let go may dip by a thousandth.
@@ -114,11 +130,11 @@ class Reports:
         happened.append((t, item))
         for count, span in limits:
             if len(happened) > count and t - happened[-count - 1][0] <= span:
-                often = Counter(i for _, i in happened[-count:]).most_common(_CHATTER_NAMES)
+                often = Counter(i for _, i in happened[-count:]).most_common(_NAMES)
                 raise Stop(
                     CHATTER,
                     f"t = {t:.9g} s: {count} {what} within {t - happened[-count - 1][0]:.3g} s (chatter), most of "
-                    f"{', '.join(self._describe(i) for i, _ in often)}; {ADVICE}",
+                    f"{', '.join(self._describe(i) for i, _ in often)}",
                 )
         most = 2 * max(limits)[0]
         if len(happened) > most:
@@ -137,7 +153,6 @@ class Reports:
             reason = "friction between several contacts leaves more than one solution (Painleve)"
         if status == MASS_NOT_POSITIVE:
             reason = without_inertia(self.system.model, self.system.data, self.system.q)
-        advice = f"; {ADVICE}" if status == NO_FORCE else ""
         culprit = self._culprit(status)
         if code == SINGULAR_CONTACT:
             self.announce(t, culprit, "singular")
@@ -146,7 +161,7 @@ class Reports:
             where = f"contact {self.names[culprit]!r} ({self.system.contacts[culprit].pattern.name}): "
             if code == SINGULAR_CONTACT:
                 number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
-        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}{advice}")
+        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
 
     def _largest_slide(self) -> str:
         """What a message adds where something slides: friction may let forces grow without bound (Painleve)."""
@@ -155,7 +170,7 @@ class Reports:
             return ""
         forces = np.linalg.norm(self.system.force[sliding], axis=1)
         name = self.names[sliding[forces.argmax()]]
-        return f"; the largest force on what slides is {forces.max():.3g} N at contact {name!r}; {ADVICE}"
+        return f"; the largest force on what slides is {forces.max():.3g} N at contact {name!r}"
 
     def _degenerates(self, t: float) -> bool:
         """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
@@ -177,13 +192,44 @@ class Reports:
         return None
 
 
-def least_conditioned(system: System) -> str:
-    """What the message of a failed step adds: the closed contact that is nearest to singular."""
+def told(system: System, stop: Stop) -> str:
+    """The message of a run that ends here: which contacts are concerned, where it does not say so, and what goes on."""
+    if stop.code not in (STEP_TOO_SMALL, STEP_LIMIT, NO_CONTACT_FORCE, CHATTER):
+        return stop.message
+    named = any(repr(contact.name) in stop.message for contact in system.contacts)
+    concerned = "" if named else _closed_contacts(system)
+    if stop.code == STEP_TOO_SMALL:
+        concerned += least_conditioned(system, _POOR)
+    advice = MORE_STEPS if stop.code == STEP_LIMIT else ADVICE
+    return stop.message + concerned + ("" if stop.blocked else f"; {advice}")
+
+
+def _closed_contacts(system: System) -> str:
+    """What closed contacts do: those that slide, the slowest first, with their speeds, and those that stick."""
+    modes, said = system.modes.tolist(), ""
+    speeds = {c: float(np.linalg.norm(system.basis[c, :2] @ system.slip[c])) for c in system.closed()}
+    sliding = sorted((c for c in speeds if modes[c] == SLIPPING), key=lambda c: speeds[c])
+    if sliding:
+        said += f"; {_listed([f'{system.contacts[c].name!r} at {speeds[c]:.2g} m/s' for c in sliding])} slide"
+    sticking = [repr(system.contacts[c].name) for c in speeds if modes[c] == STICK]
+    return said + (f"; {_listed(sticking)} stick" if sticking else "")
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - _NAMES
+    return ", ".join(names[:_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def least_conditioned(system: System, below: float = math.inf) -> str:
+    """What the message of a failed step adds: the closed contact that is nearest to singular, if it is nearer than
+    this."""
     closed = system.closed()
     if not closed:
         return ""
     conditions = np.abs(system.contact_real[closed, CONDITION])
     least = int(conditions.argmin())
+    if not conditions[least] < below:
+        return ""
     name = system.contacts[closed[least]].name
     return f"; of the closed contacts {name!r} has the least conditioning, {conditions[least]:.3g}"
 

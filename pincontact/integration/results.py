@@ -16,7 +16,8 @@ STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, 
 )
 END_OF_CONTOUR, STEP_TOO_LONG = -8, -9
 
-# What is told to those whose run cannot go on.
+# What is told to those whose run cannot go on, and what to those whose steps are at their limit.
+MORE_STEPS = 'a larger max_steps, or method="Moreau", which takes steps of constant size, gets further'
 ADVICE = 'method="Moreau" goes on with impulses, in steps of constant size; fallback="Moreau" does from here on'
 
 # Error of gaps, in tolerances of positions: a contact whose gap is smaller than that is closed.
@@ -61,11 +62,12 @@ FAILURES = {
 
 
 class Stop(Exception):
-    """Ends a run from within: result code and message. Never leaves `Driver.run`."""
+    """Ends a run from within: result code and message. Never leaves `Driver.run`. blocked: whether time stepping could
+    not go on, either."""
 
-    def __init__(self, code: int, message: str):
+    def __init__(self, code: int, message: str, blocked: bool = False):
         super().__init__(message)
-        self.code, self.message = code, message
+        self.code, self.message, self.blocked = code, message, blocked
 
 
 @dataclass(frozen=True)

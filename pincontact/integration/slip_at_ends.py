@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
+from ..dynamics.equations import list_constraints
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import NOTHING, kernel
@@ -29,7 +30,7 @@ from ..layout import (
     SYSTEM,
     TANGENTS,
 )
-from ..linalg import inner, whiten
+from ..linalg import RANK_TOLERANCE, inner, subtract_row, whiten
 
 # No step goes further than this fraction of the way to the end of slip, or than all of it but this many times the error
 # with which that is foretold, and this fraction; that where the way is shorter than this part of the last step, so that
@@ -79,10 +80,48 @@ def note_end(system):
             for k in range(nv):
                 value += abs(line[k]) * (absolute + relative * abs(v[k]))
             allowed = max(allowed, value)
+        if number[START_RATE] < 0.0 and number[START_SPEED] <= allowed * 2.0**STOP_DOUBLINGS:
+            allowed = max(allowed * _part_left(system, c), _SMALLEST_STOP_SPEED)
         number[START_TOLERANCE] = allowed
         _foretell_stop(system, c, before, rate)
         number[LAST_SPEED], number[LAST_RATE], number[LAST_STEP] = before, rate, system.scalars.step
     system.scalars.turning_rate = turning
+
+
+@kernel
+def _part_left(system, c):
+    """The part of slip c's row, in the mass metric, that its other tangent and the constraints of all others leave: the
+    less, the more of the velocity goes with the slip when it ends. Of wheels on one axle it is next to nothing."""
+    nv, count, rows = system.sizes.nv, list_constraints(system)[0], system.whitened_rows
+    basis, slip = system.basis[c], system.slip[c]
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    # there is room for the tangents, which have no rows
+    _whiten_tangent(system, c, -second, first, rows[count])
+    _whiten_tangent(system, c, first, second, rows[count + 1])
+    rank, left = 0, 1.0
+    for r in range(count + 2):
+        own, before = rows[r], inner(rows[r], rows[r], nv)
+        for k in range(rank):
+            subtract_row(own, rows[k], inner(own, rows[k], nv))
+        square = inner(own, own, nv)
+        left = square / before if before > 0.0 else 1.0
+        # as rows depend on each other where forces are found
+        if square > RANK_TOLERANCE * before:
+            inverse = 1.0 / math.sqrt(square)
+            for k in range(nv):
+                rows[rank, k] = own[k] * inverse
+            rank += 1
+    # what depends on the others is not ended by them
+    return math.sqrt(left) if left > RANK_TOLERANCE else 1.0
+
+
+@kernel
+def _whiten_tangent(system, c, first, second, out):
+    """out = L^-T (first, second) . rows of the tangents of item c."""
+    rows = system.rows[c]
+    for k in range(system.sizes.nv):
+        out[k] = first * rows[0, k] + second * rows[1, k]
+    whiten(system.factor, system.parents, system.sizes.nv, out, out)
 
 
 @kernel
@@ -96,7 +135,8 @@ def _foretell_stop(system, c, before, rate_before):
         return
     left = speed / -rate
     number[STOP_TIME] = _STOP_FRACTION * left
-    if not (before < math.inf and h > 0.0):
+    # creeping slip has longer to go than steps tell, which friction that turns it keeps short
+    if not (before < math.inf and h > 0.0) or left > h:
         return
     # what the rate changes by over h goes with the square of the time, and slip turns as it slows down
     missed = abs(speed - before - rate_before * h) * (left / h) ** 2
@@ -168,11 +208,9 @@ def _turning_rate(system, c):
     """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
     nv, force, work = system.sizes.nv, system.force[c], system.work
-    basis, rows, slip = system.basis[c], system.rows[c], system.slip[c]
+    basis, slip = system.basis[c], system.slip[c]
     first, second = dot(basis[0], slip), dot(basis[1], slip)
-    for k in range(nv):
-        work[k] = first * rows[1, k] - second * rows[0, k]
-    whiten(system.factor, system.parents, nv, work, work)
+    _whiten_tangent(system, c, -second, first, work)
     speed = math.hypot(first, second)
     return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 
@@ -224,7 +262,9 @@ def slip_ends(system, n):
         speed, allowed = number[START_SPEED], number[START_TOLERANCE]
         if not (number[START_RATE] < 0.0 and speed < math.inf):
             continue
-        if speed <= allowed * 2.0**system.counters.stalled or number[STOP_ERROR] <= LEFT_OUT * allowed:
+        stalled = system.counters.stalled
+        within = stalled > 0 or speed <= -number[START_RATE] * system.scalars.step
+        if (within and speed <= allowed * 2.0**stalled) or number[STOP_ERROR] <= LEFT_OUT * allowed:
             return True
     return False
 

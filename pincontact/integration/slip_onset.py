@@ -101,6 +101,7 @@ class SlipOnset:
         # the cube root of the relative tolerance, and no more than a hundredth of the run
         cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
         self.seed = min(cube_root, 1e-2 * span if span > 0.0 else 1.0)
+        changes.ahead = _SHORTEST_START * self.seed
 
     def resolve(
         self,
@@ -123,7 +124,9 @@ class SlipOnset:
         if not frozen:
             return t
         tau = min(self.seed**1.5, self.until_touch(), self.left)
-        if self._starts_slowly(t, frozen):
+        if self._goes_on(t, frozen, tau):
+            tau = min(self.changes.ahead, tau)
+        elif self._starts_slowly(t, frozen):
             slowest = min(self.system.contact_real[frozen, SLIP_RATE].tolist())
             took = self._follow(t, dict.fromkeys(frozen, 1), max(self.longest, self._until_shown(slowest, 1)), tau)
             if took is not None:
@@ -132,6 +135,14 @@ class SlipOnset:
             self.rk.evaluate_start(t)
         tau = self._trial_step(t, tau)
         return self._end(t, tau, system.new_state)
+
+    def _goes_on(self, t: float, frozen: list[int], tau: float) -> bool:
+        """Whether any of these slips is there already, and faster than what it grows by within tau s."""
+        self.rk.load(self.system.state)
+        if self.rk.evaluate(t) > EVENT:
+            return False
+        rates = self.system.contact_real[frozen, SLIP_RATE].tolist()
+        return any(self.changes.slip_speed(c) > tau * abs(rate) for c, rate in zip(frozen, rates))
 
     def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
         """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
@@ -169,6 +180,9 @@ class SlipOnset:
             return self.resolve(t, changes.sticking(), beyond=c)
         # the state is on its constraints, and evaluated
         self.rk.accept()
+        after = self._take_over(t)
+        if after is not None:
+            return after
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
@@ -200,6 +214,28 @@ class SlipOnset:
             tau, _, seeded = self._run_on(t, c, _SHORT_SEED * tau)
         return self._end(t, tau, seeded)
 
+    def _take_over(self, t: float) -> float | None:
+        """The new time where others slip so slowly that it counts as rest, and who slips is to be decided anew; None
+        where there are none, or that did not do and nothing has changed.
+
+        What begins to slip takes such slips over within times in which no step could show it.
+        """
+        system, changes, integers = self.system, self.changes, self.system.contact_int
+        slowest = rest_speed(system)
+        resting = [i for i in self._turning() if changes.slip_speed(i) <= slowest]
+        if not resting:
+            return None
+        before, signs = integers.copy(), integers[:, MODE].copy()
+        integers[resting, MODE] = STICK
+        if not changes.let_slide(t):
+            integers[:] = before
+            changes.evaluate_accepted(t)
+            return None
+        for i in np.flatnonzero((signs != integers[:, MODE]) & np.isin(integers[:, MODE], (STICK, SLIPPING))).tolist():
+            changes.reports.announce_friction(t, i, bool(integers[i, MODE] == SLIPPING))
+        self.rk.accept()
+        return self.start(t)
+
     def _limit(self, c: int) -> np.ndarray:
         """(3,) direction in world axes of a slip against which the friction of item c is."""
         direction: np.ndarray = opposed_slip(self.system, c, self.system.force[c, :2]) @ self.system.basis[c, :2]
@@ -220,7 +256,7 @@ class SlipOnset:
         redundant = system.counters["row_rank"] < system.counters["row_count"]
         # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
         if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
-            took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
+            took = self._follow(t, dict.fromkeys(items, 2), span, self.changes.ahead)
             if took is None:
                 self._lost.update(items)
             elif self._shows(t + took, items):

@@ -20,7 +20,6 @@ from ..layout import (
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
-    JOINT_END,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -325,23 +324,21 @@ class Transitions:
         self.changes.end_jams(t, sliding)
         return self.onset.start(t)
 
-    def let_joints_give(self, t: float, failure: Stop) -> float:
-        """Go on from a state that cannot be projected on constraints which depend on each other; the new time.
+    def give_way(self, t: float, failure: Stop) -> float:
+        """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.
 
-        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound. Dry
-        friction of joints has a bound: these give way, as in an impact, which changes the velocity next to nothing.
-        Where that will not do `failure` is raised.
+        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound.
+        Friction has a bound: what it holds gives way, which changes the velocity next to nothing. Where that will not
+        do `failure` is raised.
         """
-        system, changes = self.system, self.changes
-        if all(end != 0 for end in system.joint_int[system.held(), JOINT_END].tolist()):
+        changes, modes = self.changes, self.system.contact_int[:, MODE].copy()
+        if not changes.let_slide(t):
             raise failure
-        before = system.v.copy()
-        after = self.impacts.collide(t, [], {})
-        changes.evaluate_accepted(after)
-        taken, _, allowed = self.modes.taken_from(before)
-        if taken > allowed:
-            raise failure
-        return after
+        for c in np.flatnonzero((modes == STICK) & (self.system.contact_int[:, MODE] == SLIPPING)).tolist():
+            self.reports.announce_friction(t, c, True)
+        self.joints.announce_changes(t)
+        self.rk.accept()
+        return self.onset.start(t)
 
     # ---------------------------------------------------------------- accepted states
 

@@ -12,7 +12,7 @@ from ..arrays import array_entry
 from ..constraints.kinematics import ROW_ROUND_OFF
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL
-from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
+from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS, UNILATERAL
 from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
 from .directions import freeze_slip
 from .units import mass_norm, root_of_squares
@@ -92,18 +92,21 @@ class PassingSlip:
         return found if found >= 0 else None
 
     def _held_in_vain(self) -> bool:
-        """Whether a joint coordinate that dry friction holds takes part in what no acceleration gives all constrained
-        rows of the last evaluation, as at its dead centre: it comes to rest there because of the place, and others go
-        on. Which of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
+        """Whether what may open, or a joint coordinate that dry friction holds, takes part in what no acceleration gives
+        all constrained rows of the last evaluation: a body that has rolled over an edge onto a face cannot turn about
+        the one on the other; and at its dead centre a joint comes to rest because of the place, and others go on. Which
+        of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
         system = self.system
-        joints = [system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0]
-        if not joints or system.counters["row_count"] == system.counters["row_rank"]:
+        if system.counters["row_count"] == system.counters["row_rank"]:
             return False
+        joints = [system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0]
+        unilateral = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
         items, row, unit, lengths = self._unit_rows()
         rows, bias, free = system.rows[items, row], system.bias[items, row], system.free_acceleration
         wanted, size = (rows @ free + bias) / lengths, (np.abs(rows) @ np.abs(free) + np.abs(bias)) / lengths
         missed = np.abs(wanted - unit @ np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])
-        return bool((missed[np.isin(items, joints)] > _UNHELD * size.max(initial=0.0)).any())
+        may_go = np.isin(items, joints) | (np.isin(items, unilateral) & (row == 2))
+        return bool((missed[may_go] > _UNHELD * size.max(initial=0.0)).any())
 
     def _unit_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The constrained rows of the last evaluation that move something: items, rows of their bases, and unit vectors

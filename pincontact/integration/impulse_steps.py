@@ -69,10 +69,10 @@ def _begin_contact(system, step, c, largest):
         step.motion[c, i] = 0
     # deeper than a step could have brought it there from the near side, or than has just touched
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
-    if normal <= REST * largest and system.contact_real[c, DOMAIN] >= 0.0:
+    if normal <= REST * largest:
         reach = max(reach, SHALLOW * length)
-    step.start_gap[c] = system.gaps[c, 0]
-    step.behind[c] = 1 if contact[MODE] == FREE and system.gaps[c, 0] < -reach else 0
+    step.start_gap[c], inside = system.gaps[c, 0], system.contact_real[c, DOMAIN] >= 0.0
+    step.behind[c] = 1 if contact[MODE] == FREE and inside and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:
         return
     if contact[UNILATERAL] != 0 and normal < -REST_SPEED:

@@ -457,16 +457,20 @@ def commit_contact(system, step, c, stepped):
     step.start_mode[c], step.start_gap[c] = mode, gap
     for motion in range(3):
         step.start_motion[c, motion] = abs(step.motion[c, motion])
-    # what got to the far side beside the contours, or is followed there since Newton's method has gone over to other
-    # stationary points, touches after it has been on the near side only
-    outside = step.behind[c] != 0 or domain < 0.0 or step.start_domain[c] < 0.0
-    if was_closed:
-        # opened by what struck elsewhere, after this had come inside: it touches in the next step
-        outside |= gap < -SHALLOW * system.contact_real[c, LENGTH]
-    elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
-        fastest = max(abs(rate), abs(step.start_normal[c, 0]))
-        outside |= before - gap > LEAP * step.numbers.h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
-    step.behind[c] = 1 if mode == FREE and gap < 0.0 and outside else 0
+    # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone over
+    # to other stationary points, touches after it has been on the near side only
+    touching = APART_AT_END * system.contact_real[c, LENGTH]
+    fastest = max(abs(rate), abs(step.start_normal[c, 0]))
+    if step.start_domain[c] < 0.0:
+        behind = gap < -touching - fastest * step.numbers.h
+    else:
+        behind = step.behind[c] != 0
+        if was_closed:
+            # opened by what struck elsewhere, after this had come inside: it touches in the next step
+            behind |= gap < -SHALLOW * system.contact_real[c, LENGTH]
+        elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
+            behind |= before - gap > LEAP * step.numbers.h * fastest + touching
+    step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)
     contact, known, changed = system.contact_int[c], step.known[c], False

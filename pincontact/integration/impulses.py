@@ -458,18 +458,17 @@ def commit_contact(system, step, c, stepped):
     for motion in range(3):
         step.start_motion[c, motion] = abs(step.motion[c, motion])
     # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone over
-    # to other stationary points, touches after it has been on the near side only
+    # to other stationary points, touches after it has been on the near side only, as far as steps tell
     touching = APART_AT_END * system.contact_real[c, LENGTH]
     fastest = max(abs(rate), abs(step.start_normal[c, 0]))
-    if step.start_domain[c] < 0.0:
+    behind = False
+    if step.behind[c] != 0 or step.start_domain[c] < 0.0:
         behind = gap < -touching - fastest * step.numbers.h
-    else:
-        behind = step.behind[c] != 0
-        if was_closed:
-            # opened by what struck elsewhere, after this had come inside: it touches in the next step
-            behind |= gap < -SHALLOW * system.contact_real[c, LENGTH]
-        elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
-            behind |= before - gap > LEAP * step.numbers.h * fastest + touching
+    elif was_closed:
+        # opened by what struck elsewhere, after this had come inside: it touches in the next step
+        behind = gap < -SHALLOW * system.contact_real[c, LENGTH]
+    elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
+        behind = before - gap > LEAP * step.numbers.h * fastest + touching
     step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)

@@ -140,6 +140,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # CURVE_SPEED is the speed in m/s over which a coefficient that depends on slip changes, 0 for constant ones;
 # STRIBECK_EXPONENT belongs to one such curve.
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
+# OVERLAP is how far in m bodies may be inside each other that come into a domain from its end, and not behind it.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, LAST_SPEED
@@ -163,6 +164,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     SCALING_12,
     SCALING_22,
     LENGTH,
+    OVERLAP,
     CONDITION,
     NORMAL_1,
     NORMAL_2,
@@ -201,7 +203,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(53)
+) = range(54)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

@@ -92,10 +92,10 @@ class PassingSlip:
         return found if found >= 0 else None
 
     def _held_in_vain(self) -> bool:
-        """Whether what may open, or a joint coordinate that dry friction holds, takes part in what no acceleration gives
-        all constrained rows of the last evaluation: a body that has rolled over an edge onto a face cannot turn about
-        the one on the other; and at its dead centre a joint comes to rest because of the place, and others go on. Which
-        of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
+        """Whether what may open, or a joint coordinate that dry friction holds, takes part in what no acceleration
+        gives all constrained rows of the last evaluation: a body that has rolled over an edge onto a face cannot turn
+        about the one on the other; and at its dead centre a joint comes to rest because of the place, and others go on.
+        Which of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
         system = self.system
         if system.counters["row_count"] == system.counters["row_rank"]:
             return False

@@ -55,6 +55,7 @@ from ..layout import (
     NORMAL_1,
     NORMAL_SIGN,
     NUMBER_OF_WORKS,
+    OVERLAP,
     OWNER,
     PATTERN,
     POOL_ADDRESS,
@@ -89,6 +90,9 @@ if TYPE_CHECKING:
 
 # Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
 FORCE_SLACK = 1e-13
+# Bodies that come over the end of a contour less far below it than this part of the smaller one overlap with its edge;
+# points, which are never thick, only as far as places are told apart.
+_OVERLAP, _OVERLAP_OF_POINTS = 0.05, 1e-3
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
 _NEGLIGIBLE_RESISTANCE = 1e-12
 
@@ -177,6 +181,7 @@ class System(Workspace):
             integers[CLOSED_FORM] = closed_form(one.contour.kind, two.contour.kind)
             _map_friction(contact, integers, numbers)
             numbers[LENGTH] = characteristic_length(contact)
+            numbers[OVERLAP] = numbers[LENGTH] * (_OVERLAP if integers[K1] else _OVERLAP_OF_POINTS)
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)

@@ -218,7 +218,7 @@ class Impacts:
         return near
 
     def _open_leaving(self, closed: list[int]) -> None:
-        """Open the contacts that leave what they have struck, however slowly where others cannot be kept beside them."""
+        """Open contacts that leave what they have struck, however slowly where others cannot be kept beside them."""
         system, penetration = self.system, self.penetration
         below = {i: -float(system.gaps[i, 0]) for i in closed}
         unilateral = [i for i in closed if system.contact_int[i, UNILATERAL]]

@@ -7,8 +7,11 @@ from ..geometry.location import NO_CLOSED_FORM
 from ..geometry.small import norm
 from ..jit import kernel
 from ..layout import CLOSED_FORM, FREE, K1, LENGTH, MODE, NEXT
-from .accuracy import LEAPS
-from .impulses import LEAP
+from .accuracy import APART_AT_END, LEAPS
+
+# A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
+# explain is another one.
+LEAP = 4.0
 
 
 @kernel
@@ -26,6 +29,13 @@ def leaps(system, step, c, h):
             moved = max(moved, length * abs(system.location[c, i] - step.start_location[c, i]))
             fastest = max(fastest, length * max(abs(before[i]), abs(after[i])))
     return moved > LEAP * h * fastest + LEAPS * system.contact_real[c, LENGTH]
+
+
+@kernel
+def is_deeper(system, step, c, gap, rate, h):
+    """Whether contact c is deeper inside than it can have come in a step since it was on the near side."""
+    fastest = max(abs(rate), abs(step.start_normal[c, 0]))
+    return gap < -APART_AT_END * system.contact_real[c, LENGTH] - fastest * h
 
 
 @kernel

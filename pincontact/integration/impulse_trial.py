@@ -13,6 +13,7 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, USUAL
+from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,
@@ -32,6 +33,7 @@ from ..layout import (
     NO_FORCE,
     NOT_FINITE,
     OK,
+    OVERLAP,
     SINGULAR,
     STICK,
     SYSTEM,
@@ -60,13 +62,13 @@ from .impulse_layout import (
     UNASKED,
     WANTED,
 )
-from .impulse_leaps import has_come_to_another, leaps
+from .impulse_leaps import has_come_to_another, is_deeper, leaps
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
-from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS
+from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS, OVERLAPS_AT_END
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
@@ -457,6 +459,10 @@ def _review_end(system, step, h):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         step.edge_time[c] = -1.0
         if contact[MODE] == FREE:
+            gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
+            overlaps = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
+            if overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h):
+                return OVERLAPS_AT_END
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
             return CLOSED_APART

@@ -65,7 +65,7 @@ from ..layout import (
 )
 from ..linalg import inner, unwhiten
 from ..workspace import flat
-from .accuracy import APART_AT_END, SHALLOW
+from .accuracy import SHALLOW
 from .actuators import find_actuation
 from .impulse_drives import note_drives
 from .impulse_equations import equation_impulses
@@ -85,6 +85,7 @@ from .impulse_layout import (
     TURNED_ROUND,
     UPPER_LIMIT,
 )
+from .impulse_leaps import LEAP, is_deeper
 from .impulse_problem import OPENING
 from .impulse_review import ANEW, DONE, review, slip_at_end
 from .impulse_units import TOUCHING
@@ -401,11 +402,6 @@ def _report_forces(system, step):
             forces[c, i] = orientation[c] * value / h
 
 
-# A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
-# explain is another one.
-LEAP = 4.0
-
-
 @separate_kernel(BOOLEAN, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
 def commit(system, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
@@ -457,18 +453,16 @@ def commit_contact(system, step, c, stepped):
     step.start_mode[c], step.start_gap[c] = mode, gap
     for motion in range(3):
         step.start_motion[c, motion] = abs(step.motion[c, motion])
-    # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone over
-    # to other stationary points, touches after it has been on the near side only, as far as steps tell
-    touching = APART_AT_END * system.contact_real[c, LENGTH]
-    fastest = max(abs(rate), abs(step.start_normal[c, 0]))
-    behind = False
+    # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone
+    # over to other stationary points, touches after it has been on the near side only, as far as steps tell
+    behind, h = False, step.numbers.h
     if step.behind[c] != 0 or step.start_domain[c] < 0.0:
-        behind = gap < -touching - fastest * step.numbers.h
+        behind = is_deeper(system, step, c, gap, rate, h)
     elif was_closed:
         # opened by what struck elsewhere, after this had come inside: it touches in the next step
         behind = gap < -SHALLOW * system.contact_real[c, LENGTH]
     elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
-        behind = before - gap > LEAP * step.numbers.h * fastest + touching
+        behind = is_deeper(system, step, c, gap - before, rate, LEAP * h)
     step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)

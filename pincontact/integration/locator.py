@@ -23,13 +23,15 @@ from ..layout import (
     EVENTS_PER_CONTACT,
     GAP_EVENT,
     LEFT_ROW,
+    LENGTH,
     LOOK_ROW,
     OK,
+    OVERLAP,
     RIGHT_ROW,
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import gap_resolution
+from .accuracy import APART_AT_END, gap_resolution
 from .crossings import CROSSES, DIPS, ENDS, LEFT_OUT, NOT_SOUGHT, UNKNOWN, find_crossings, find_valleys
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
@@ -175,11 +177,14 @@ class EventLocator:
         system.counters["sought_item"], system.counters["sought_kind"] = c, kind
         system.run(FIND_ZERO, t, step)
         known[c, kind] = system.scan_shares.item(LOOK_ROW)
-        allowed = max(system.gap_accuracy.item(c), system.slack.item(c, kind))
-        touches = bool(system.scan_status[LOOK_ROW] <= EVENT and system.gaps[c, 0] >= -allowed)
-        if not touches:
+        gap = system.gaps.item(c, 0) if system.scan_status[LOOK_ROW] <= EVENT else -math.inf
+        if gap < -system.contact_real[c, OVERLAP]:
             self._open.passed.add(c)
-        return touches
+            return False
+        touching = APART_AT_END * system.contact_real.item(c, LENGTH)
+        if gap < -max(touching, system.gap_accuracy[c], system.slack[c, kind]):
+            self._open.overlapping.add(c)
+        return True
 
     def _earliest(
         self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]

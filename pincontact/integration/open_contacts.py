@@ -65,13 +65,15 @@ class OpenContacts:
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     trouble, where: why `look` has found that steps cannot go on, and at which contact.
     relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
-    passed: contacts that came into a domain from behind in the last step, or whose gap was not seen to fall through zero.
+    passed: contacts that came into a domain from behind in the last step, or whose gap fell through zero unseen.
+    overlapping: contacts that came into a domain in the last step while their bodies overlapped.
     """
 
     def __init__(self, system: RunSystem) -> None:
         self.system = system
         self.apart = np.ones(system.nc, dtype=bool)
         self.passed: set[int] = set()
+        self.overlapping: set[int] = set()
         # those that were inside at the start, and have not come out since
         self._shallow: set[int] = set()
         # open contacts, and what is beside closed ones
@@ -97,7 +99,7 @@ class OpenContacts:
         """The evaluated state is that at which a run starts; slack: what its gap may be below zero, in m."""
         system = self.system
         for c in self._list():
-            allowed = (APART_AT_END if gap_rate(system, c) > rest_speed(system) else SHALLOW)
+            allowed = APART_AT_END if gap_rate(system, c) > rest_speed(system) else SHALLOW
             allowed *= system.contact_real[c, LENGTH]
             beside = system.contact_real[c, DOMAIN] < 0.0
             self.apart[c] = beside or system.gaps[c, 0] >= -max(slack(c), allowed)
@@ -117,6 +119,7 @@ class OpenContacts:
             elif c in self.passed or (slack is not None and gap < -slack(c)):
                 self.apart[c] = False
         self.passed.clear()
+        self.overlapping.clear()
 
     def _list(self) -> list[int]:
         unilateral = self.system.contact_int[:, UNILATERAL]

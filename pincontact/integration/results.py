@@ -28,9 +28,10 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
 # through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a
-# jump; a closed contact has not been followed; bodies touch all around, or where nothing was found before.
+# jump; a closed contact has not been followed; bodies touch all around, or where nothing was found before, or overlap
+# where they come into a contour from its end.
 CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
-TOUCHES_AROUND, TOUCHES_UNSEEN = 57, 58
+TOUCHES_AROUND, TOUCHES_UNSEEN, OVERLAPS_AT_END = 57, 58, 59
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -53,6 +54,11 @@ FAILURES = {
     TOUCHES_UNSEEN: (
         SINGULAR_CONTACT,
         "the bodies are inside each other at a place that was not found before they were: it is too narrow or steep",
+    ),
+    OVERLAPS_AT_END: (
+        SINGULAR_CONTACT,
+        "the bodies overlap where it comes into a contour from its end: that is an edge, for which a contact of its "
+        "own is to be declared, with a Line or Point there, say",
     ),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,

@@ -36,14 +36,14 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import gap_rate, held_up, may_stop
-from .contradictions import apart, jump_apart, jump_into, refuse_apart
+from .contradictions import apart, jump_apart, jump_into, refuse_apart, touch_elsewhere
 from .impacts import Impacts
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
 from .penetration import Penetration
 from .reports import Reports
-from .results import END_OF_CONTOUR, FAILURES, Stop
+from .results import END_OF_CONTOUR, FAILURES, OVERLAPS_AT_END, Stop
 from .runge_kutta import RungeKutta
 from .slip_onset import SlipOnset
 
@@ -194,6 +194,8 @@ class Transitions:
 
     def _switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
         if kind == GAP_EVENT and c < self.system.nc:
+            if c in self.open.overlapping:
+                raise touch_elsewhere(t, self.reports.names[c], OVERLAPS_AT_END)
             leaps = self.open.has_leapt(c, self.penetration.slack(c))
             return self._leap(t, c) if leaps else self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)

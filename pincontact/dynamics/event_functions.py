@@ -107,7 +107,8 @@ def joint_event_functions(system):
 
 @kernel
 def contact_event_functions(system):
-    """Event functions of contacts: gap of open ones; end of the domain, load and friction of the others.
+    """Event functions of contacts: gap of open ones, and the end of a domain that they may come over while it is
+    negative; end of the domain, load and friction of the others.
 
     Forces of slip are completed on the way: friction, and what is viscous.
     """
@@ -121,9 +122,9 @@ def contact_event_functions(system):
         )
         if integers[MODE] == FREE:
             value[GAP_EVENT] = system.gaps[c, 0]
-            if numbers[DOMAIN] < 0.0:
-                # beside a contour nothing touches, on whichever side of what it would go on as
-                value[GAP_EVENT] = max(system.gaps[c, 0], -numbers[DOMAIN])
+            if numbers[DOMAIN] < math.inf:
+                # beside a contour it may be on any side of what that would go on as
+                value[DOMAIN_EVENT] = max(system.gaps[c, 0], -numbers[DOMAIN])
         else:
             value[DOMAIN_EVENT] = numbers[DOMAIN]
             if integers[UNILATERAL] != 0:

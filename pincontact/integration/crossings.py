@@ -10,6 +10,7 @@ from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
 from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
 from ..layout import (
+    DOMAIN_EVENT,
     EVENT,
     EVENTS_PER_CONTACT,
     GAP_EVENT,
@@ -53,7 +54,7 @@ def turns_negative(before, after, first, kind, apart):
     if kind == SPEED_EVENT:
         return before >= 0.0 or after < before
     # what comes from behind does not touch
-    return kind != GAP_EVENT or before >= 0.0 or apart
+    return (kind != GAP_EVENT and kind != DOMAIN_EVENT) or before >= 0.0 or apart
 
 
 @kernel

@@ -18,13 +18,16 @@ from ..arrays import array_entry
 from ..dynamics.event_functions import FORCE_EVENTS
 from ..jit import REAL
 from ..layout import (
+    DOMAIN,
     DOMAIN_EVENT,
     EVENT,
     EVENTS_PER_CONTACT,
+    FREE,
     GAP_EVENT,
     LEFT_ROW,
     LENGTH,
     LOOK_ROW,
+    MODE,
     OK,
     OVERLAP,
     RIGHT_ROW,
@@ -92,7 +95,7 @@ class EventLocator:
         system.scan_shares[:SCAN_ROOM] = begin + (1.0 - begin) * _PLACES
         system.counters["scan_count"] = met = 0
         # gaps that end no mode, and the samples before
-        denied: set[tuple[float, int]] = set()
+        denied: set[tuple[float, int, int]] = set()
         while not met & ENDS:
             met = met & DIPS | system.run(SCAN_ON, t, step)
             n = int(system.counters["scan_count"])
@@ -107,11 +110,12 @@ class EventLocator:
                 known: dict[tuple[int, int], float] = {}
                 crossed = []
                 for _, c, kind in group:
-                    if (places[i], c) not in denied or kind != GAP_EVENT:
-                        if self._ends_mode(t, step, c, kind, known):
-                            crossed.append((c, kind))
-                        else:
-                            denied.add((places[i], c))
+                    if (places[i], c, kind) in denied or (kind == DOMAIN_EVENT and (c, GAP_EVENT) in crossed):
+                        continue
+                    if self._ends_mode(t, step, c, kind, known):
+                        crossed.append((c, kind))
+                    else:
+                        denied.add((places[i], c, kind))
                 if crossed:
                     return self._earliest(t, step, crossed, known)
         return None
@@ -123,9 +127,9 @@ class EventLocator:
         system, nc = self.system, self.system.nc
         n, slack = system.items, system.slack
         slack[:n, GAP_EVENT] = gap_resolution(system) + self._depths
-        if n > nc:
-            # the upper end of a joint coordinate
-            slack[nc:n, DOMAIN_EVENT] = slack[nc:n, GAP_EVENT]
+        # the upper end of a joint coordinate, and the end of a domain that an open contact comes over
+        slack[:n, DOMAIN_EVENT] = slack[:n, GAP_EVENT]
+        slack[:nc, DOMAIN_EVENT][system.contact_int[:nc, MODE] != FREE] = 0.0
         slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
     def _with_lowest(
@@ -168,23 +172,36 @@ class EventLocator:
         found: list[list[int]] = places[: find(samples, *given, places)].tolist()
         return found
 
+    def _is_way(self, c: int, kind: int) -> bool:
+        """Whether an event function is a way, of an open contact or a joint, and not of a closed contact to an end."""
+        if kind == DOMAIN_EVENT:
+            return c >= self.system.nc or bool(self.system.contact_int[c, MODE] == FREE)
+        return kind == GAP_EVENT
+
     def _ends_mode(self, t: float, step: float, c: int, kind: int, known: dict[tuple[int, int], float]) -> bool:
-        """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does where
-        it is zero, and not where the contact comes into a domain from behind. known: zeros, which is added to."""
-        if kind != GAP_EVENT or c >= self.system.nc:
+        """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does
+        between points inside both domains only, and a contact that comes into a domain if its bodies touch, or overlap,
+        but not from behind. known: zeros, which is added to."""
+        if not self._is_way(c, kind) or c >= self.system.nc:
             return True
         system = self.system
         system.counters["sought_item"], system.counters["sought_kind"] = c, kind
         system.run(FIND_ZERO, t, step)
         known[c, kind] = system.scan_shares.item(LOOK_ROW)
-        gap = system.gaps.item(c, 0) if system.scan_status[LOOK_ROW] <= EVENT else -math.inf
-        if gap < -system.contact_real[c, OVERLAP]:
+        gap, domain = system.gaps.item(c, 0), system.contact_real.item(c, DOMAIN)
+        ends = bool(system.scan_status[LOOK_ROW] <= EVENT)
+        if kind == GAP_EVENT:
+            ends = ends and domain >= 0.0
+        elif ends:
+            touching = max(system.gap_accuracy.item(c), APART_AT_END * system.contact_real.item(c, LENGTH))
+            if gap < -max(touching, system.slack.item(c, kind)):
+                # what comes through its gap is no matter of domains
+                ends = domain < -gap <= system.contact_real.item(c, OVERLAP)
+                if ends:
+                    self._open.overlapping.add(c)
+        if not ends:
             self._open.passed.add(c)
-            return False
-        touching = APART_AT_END * system.contact_real.item(c, LENGTH)
-        if gap < -max(touching, system.gap_accuracy[c], system.slack[c, kind]):
-            self._open.overlapping.add(c)
-        return True
+        return ends
 
     def _earliest(
         self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]
@@ -195,7 +212,7 @@ class EventLocator:
         for pair in crossed:
             system.sought[pair] = known.get(pair, UNKNOWN)
         for item in self._open.passed:
-            system.sought[item, GAP_EVENT] = LEFT_OUT
+            system.sought[item, [GAP_EVENT, DOMAIN_EVENT]] = LEFT_OUT
         c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
         value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
         return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value)
@@ -223,8 +240,7 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h, True
         slope = (found - values.item(c, kind)) / (h - back)
-        is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= system.nc)
-        depth = float(self._depths[c]) if is_way else 0.0
+        depth = float(self._depths[c]) if self._is_way(c, kind) else 0.0
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = slack.item(c, kind) - depth
         if slope < 0.0:

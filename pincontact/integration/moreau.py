@@ -382,7 +382,8 @@ class MoreauStep:
         if not (self._looks and self._open.are_any(t)):
             return MANY_STEPS
         behind = self.step_arrays.behind
-        self._open.apart[:] = behind[: self.system.nc] == 0
+        beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
+        self._open.apart[:] = (behind[: self.system.nc] == 0) & ~beside
         steps = self._open.look(t, size, self.touch_time >= 0.0)
         if self._open.relocated:
             relocated = list(self._open.relocated)

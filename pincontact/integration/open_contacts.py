@@ -30,7 +30,7 @@ from ..layout import (
     SPEEDING,
     UNILATERAL,
 )
-from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
+from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, gap_resolution, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
 from .nearness import Nearness, Place, of_same_contours, touching_order
@@ -101,19 +101,20 @@ class OpenContacts:
         for c in self._list():
             allowed = APART_AT_END if gap_rate(system, c) > rest_speed(system) else SHALLOW
             allowed *= system.contact_real[c, LENGTH]
-            beside = system.contact_real[c, DOMAIN] < 0.0
-            self.apart[c] = beside or system.gaps[c, 0] >= -max(slack(c), allowed)
-            if system.gaps[c, 0] < 0.0 and self.apart[c] and not beside:
+            if system.contact_real[c, DOMAIN] < 0.0:
+                allowed = 0.0
+            self.apart[c] = system.gaps[c, 0] >= -max(slack(c), allowed)
+            if system.gaps[c, 0] < 0.0 and self.apart[c]:
                 self._shallow.add(c)
 
     def note(self, slack: Callable[[int], float] | None) -> None:
         """The evaluated state has been accepted. slack: as `begin` has it, None where events were looked for in the
         step that led there."""
         system = self.system
+        lowest = gap_resolution(system).tolist()
         for c, mode in enumerate(system.modes.tolist()):
             gap = system.gaps.item(c, 0)
-            beside = system.contact_real.item(c, DOMAIN) < 0.0 and gap < NOTHING_THERE
-            if mode != FREE or beside or 0.0 <= gap < NOTHING_THERE:
+            if mode != FREE or -lowest[c] <= gap < NOTHING_THERE:
                 self.apart[c] = True
                 self._shallow.discard(c)
             elif c in self.passed or (slack is not None and gap < -slack(c)):

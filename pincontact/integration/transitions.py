@@ -19,7 +19,6 @@ from ..layout import (
     DOMAIN_EVENT,
     FREE,
     FRICTION_EVENT,
-    GAP_EVENT,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -193,7 +192,7 @@ class Transitions:
             return self.onset.start(t)
 
     def _switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
-        if kind == GAP_EVENT and c < self.system.nc:
+        if c < self.system.nc and self.system.contact_int[c, MODE] == FREE:
             if c in self.open.overlapping:
                 raise touch_elsewhere(t, self.reports.names[c], OVERLAPS_AT_END)
             leaps = self.open.has_leapt(c, self.penetration.slack(c))

@@ -51,9 +51,8 @@ _TOO_FAR = 2.0
 _DEEPER = 4.0
 # Constant steps are looked at beside closed contacts after bodies have moved this part of how far they may near others.
 _LATE = 0.05
-# Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
-# nothing that is as thick as its radius of curvature says.
-MANY_STEPS, _THROUGH = 1_000_000, 8.0
+# Constant steps between two looks, at most.
+MANY_STEPS = 1_000_000
 # Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
 _WAY_STATIONS, _GRAZES = 16, 1e-2
 
@@ -203,7 +202,8 @@ class OpenContacts:
                 continue
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
-                if lost or known.moved(t) + way > known.elsewhere:
+                # what is where it is followed may not go through it, either
+                if lost or known.moved(t) + way > known.elsewhere or way > known.through:
                     # what steps end with is before the last correction of gaps
                     self.system.evaluate_kinematics(t)
                     found = self.find(t, c, way, h)
@@ -215,7 +215,7 @@ class OpenContacts:
                         self.apart[c] = found.gap > -_DEEPER * way
                 distance = self._distance(known, t)
             # what is behind a contour goes through it
-            if self.apart[c] and way > max(distance, _THROUGH * known.near):
+            if self.apart[c] and way > max(distance, known.through):
                 self.trouble, self.where = FLIES_THROUGH, c
                 return 0
             if self.apart[c] and way > max(distance, known.near):

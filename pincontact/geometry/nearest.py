@@ -266,7 +266,7 @@ class NearestSearch:
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         nearest = cells.order[cells.pairs[:count]]
-        starts = [(i, int(nearest[i])) for i in _lowest(points, distances, neighbourhood)]
+        starts = [(i, int(nearest[i])) for i in _lowest(points, distances, reaches, neighbourhood)]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
@@ -357,20 +357,22 @@ class NearestSearch:
         return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
 
 
-def _lowest(points: np.ndarray, distances: np.ndarray, apart: float) -> list[int]:
-    """Where to start from: of points (n, 3) those with the least distances, apart from each other, and first those that
-    have no lower one so near. Around where a large body touches many are lower than wherever it touches next."""
+def _lowest(points: np.ndarray, distances: np.ndarray, reaches: np.ndarray, apart: float) -> list[int]:
+    """Where to start from: of middles (n, 3) of cells with these radii (n,) those with the least distances, apart from
+    each other, and first those that have no lower one so near, or next to them. Around where a large body touches many
+    are lower than wherever it touches next."""
     order = np.argsort(distances)
-    sorted_points, left = points[order], np.ones(len(order), dtype=bool)
+    sorted_points, sorted_reaches, left = points[order], reaches[order], np.ones(len(order), dtype=bool)
     lowest: list[int] = []
     others: list[int] = []
     for _ in range(_LOOKED_AT):
         i = int(np.argmax(left))
         if not left[i] or len(lowest) == _STARTS:
             break
-        near = ((sorted_points - sorted_points[i]) ** 2).sum(axis=1) <= apart * apart
-        (others if near[:i].any() else lowest).append(int(order[i]))
-        left &= ~near
+        way = np.linalg.norm(sorted_points - sorted_points[i], axis=1)
+        lower = way[:i] <= np.maximum(apart, sorted_reaches[:i] + sorted_reaches[i])
+        (others if lower.any() else lowest).append(int(order[i]))
+        left &= way > apart
     return (lowest + others)[:_STARTS]
 
 

@@ -34,14 +34,17 @@ _COARSER = 0.25
 _LEAF, _LEVELS = 8, 24
 # Steps of Newton's method to a foot, and feet that are looked for at the same time, at most.
 _FOOT_STEPS, MOST_FEET = 4, 16
+# Among so many places, one in each other neighbourhood, those are looked for from which to start.
+_LOOKED_AT = 64
 # Relative determinants below this are round-off.
 _REGULAR = 1e-12
 
-# evaluator, dimension: of the contour; cells, feet: how many there are
-_COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet")
+# evaluator, dimension: of the contour; cells, feet, lowest: how many there are
+_COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet", "lowest")
 # time in s; in m: beyond, how much farther than the nearest cell others may be that are kept; around, the radius of a
-# sample's cell; finest, of cells that are resolved. sharpest: the largest curvature found in the middles of cells, 1/m
-_NUMBERS = record(REALS, "time", "beyond", "around", "finest", "sharpest")
+# sample's cell; finest, of cells that are resolved; apart, how far starts are from each other, at least. sharpest: the
+# largest curvature found in the middles of cells, 1/m
+_NUMBERS = record(REALS, "time", "beyond", "around", "finest", "apart", "sharpest")
 _REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
 # "given": an array of somebody else's is put there
 SEARCH = Layout(
@@ -66,6 +69,8 @@ SEARCH = Layout(
     bends=(_REALS, _MOST_CELLS),  # (n,) largest curvatures in their middles, in 1/m
     distances=(_REALS, _MOST_CELLS),  # (n,) of their middles from the nearest sample, in m
     pairs=(_INTEGERS, _MOST_CELLS),  # (n,) that sample, in the order of the tree
+    left=(_INTEGERS, _MOST_CELLS),  # (n,) whether it may be chosen yet
+    lowest=(_INTEGERS, MOST_FEET // 2),  # cells to start from
     targets=(_REALS, MOST_FEET, 3),  # (MOST_FEET, 3) in the contour's frame
     feet=(_REALS, MOST_FEET, 2),  # (MOST_FEET, 2) parameters: starts, then feet
     stack=(_INTEGERS, 2 * _LEVELS),
@@ -314,6 +319,43 @@ def near_cells(address):
     for i in range(n):
         reaches[i] = _reach(search, i)
     counts.cells = n
+
+
+@entry_kernel(INTEGER, when=CALLED)
+def lowest_cells(address):
+    """Where to start from: the cells with the least distances, apart from each other, and first those that have no
+    lower one so near, or next to them. Around where a large body touches many are lower than wherever it touches
+    next."""
+    search = _search_at(address)
+    counts, points, distances, reaches, left = search.counts, search.points, search.distances, search.reaches, search.left
+    apart, lowest, n, found, total = search.numbers.apart, search.lowest, counts.cells, 0, 0
+    most = lowest.shape[0]
+    for j in range(n):
+        left[j] = 1
+    for _ in range(_LOOKED_AT):
+        i = -1
+        for j in range(n):
+            if left[j] != 0 and (i < 0 or distances[j] < distances[i]):
+                i = j
+        if i < 0 or found == most:
+            break
+        is_lowest = True
+        for j in range(n):
+            way = math.sqrt(_square_between(points[i], points[j]))
+            if way <= apart:
+                left[j] = 0
+            if distances[j] < distances[i] and way <= max(apart, reaches[i] + reaches[j]):
+                is_lowest = False
+        if total < most:
+            total += 1
+        elif not is_lowest:
+            continue
+        if is_lowest:
+            lowest[total - 1], lowest[found] = lowest[found], i
+            found += 1
+        else:
+            lowest[total - 1] = i
+    counts.lowest = total
 
 
 @kernel

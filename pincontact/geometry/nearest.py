@@ -27,6 +27,7 @@ from .cells import (
     SURFACE_CELLS,
     SampleTree,
     find_feet,
+    lowest_cells,
     near_cells,
     put_samples,
     search_workspace,
@@ -39,8 +40,6 @@ from .search import Candidate, evaluated, grid, spaced, stationary_points
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 # Starts of Newton's method from what is nearest, and as many from what may be inside.
 _STARTS = MOST_FEET // 2
-# Among so many places, one in each other neighbourhood, these are looked for.
-_LOOKED_AT = 64
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
 # What is no overlap of samples: round-off where they touch.
@@ -266,7 +265,9 @@ class NearestSearch:
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         nearest = cells.order[cells.pairs[:count]]
-        starts = [(i, int(nearest[i])) for i in _lowest(points, distances, reaches, neighbourhood)]
+        cells.numbers["apart"] = neighbourhood
+        lowest_cells(cells.address)
+        starts = [(i, int(nearest[i])) for i in cells.lowest[: int(cells.counts["lowest"])].tolist()]
         if not least.all():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
@@ -355,25 +356,6 @@ class NearestSearch:
         rotation, centre = self.pose()
         x, y, z = ((points - centre) @ rotation).T
         return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
-
-
-def _lowest(points: np.ndarray, distances: np.ndarray, reaches: np.ndarray, apart: float) -> list[int]:
-    """Where to start from: of middles (n, 3) of cells with these radii (n,) those with the least distances, apart from
-    each other, and first those that have no lower one so near, or next to them. Around where a large body touches many
-    are lower than wherever it touches next."""
-    order = np.argsort(distances)
-    sorted_points, sorted_reaches, left = points[order], reaches[order], np.ones(len(order), dtype=bool)
-    lowest: list[int] = []
-    others: list[int] = []
-    for _ in range(_LOOKED_AT):
-        i = int(np.argmax(left))
-        if not left[i] or len(lowest) == _STARTS:
-            break
-        way = np.linalg.norm(sorted_points - sorted_points[i], axis=1)
-        lower = way[:i] <= np.maximum(apart, sorted_reaches[:i] + sorted_reaches[i])
-        (others if lower.any() else lowest).append(int(order[i]))
-        left &= way > apart
-    return (lowest + others)[:_STARTS]
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:

@@ -327,7 +327,8 @@ def lowest_cells(address):
     lower one so near, or next to them. Around where a large body touches many are lower than wherever it touches
     next."""
     search = _search_at(address)
-    counts, points, distances, reaches, left = search.counts, search.points, search.distances, search.reaches, search.left
+    counts, points, distances, reaches = search.counts, search.points, search.distances, search.reaches
+    left = search.left
     apart, lowest, n, found, total = search.numbers.apart, search.lowest, counts.cells, 0, 0
     most = lowest.shape[0]
     for j in range(n):

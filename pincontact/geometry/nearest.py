@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..contours import Contour, Ellipsoid, HeightField, Plane, Sphere
+from ..contours import Circle, Contour, Ellipsoid, HeightField, Plane, Point, Sphere, Torus
 from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE, SINGULAR
 from ..workspace import Workspace
 from .carriers import ORIGIN
@@ -85,21 +85,24 @@ class _Survey(NamedTuple):
 
 
 class Whole:
-    """A contour of finite extent as samples. points (n, 3), parameters (n, 2), counts: samples along each parameter,
-    radius: of a sample's cell, in m; centre (3,), extent: of a ball around it, in m; rounding: radius of a ball whose
-    centre stands for it."""
+    """A contour of finite extent as samples of its core, from which all that it has is as far as its rounding: the
+    centre of a ball, the centre circle of a torus, or itself. points (n, 3), parameters (n, 2), counts: samples along
+    each parameter, radius: of a sample's cell, in m; centre (3,), extent: of a ball around the core, in m; rounding in
+    m."""
 
     def __init__(self, contour: Contour, t: float) -> None:
-        self.contour, self.rounding = contour, 0.0
+        self.contour, self.core, self.rounding = contour, contour, 0.0
+        if isinstance(contour, Sphere):
+            self.core, self.rounding = Point(), contour.shape[0]
+        elif isinstance(contour, Torus):
+            self.core, self.rounding = Circle(contour.shape[0]), contour.shape[1]
         self.counts: tuple[int, ...] = (1,)
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
-        if isinstance(contour, Sphere):
-            self.rounding = contour.shape[0]
-        elif contour.dimension > 0:
-            counts = (_WHOLE_CURVE,) if contour.dimension == 1 else _WHOLE_SURFACE
+        if self.core.dimension > 0:
+            counts = (_WHOLE_CURVE,) if self.core.dimension == 1 else _WHOLE_SURFACE
             self.counts = counts
-            centres, half = _cells(contour.domain, counts)
-            values = evaluated(contour, centres, t)
+            centres, half = _cells(self.core.domain, counts)
+            values = evaluated(self.core, centres, t)
             self.parameters, self.points = centres, values[:, 0]
             self.radius = float(_reaches(values, half).max())
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -167,7 +170,7 @@ class NearestSearch:
             raise ValueError("both contours are unbounded.")
         self.side, self.whole = found
         self.divided = contours[1 - self.side]
-        one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.contour, self.divided))
+        one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.core, self.divided))
         self._bends = one, two
         self.bend = self._bend(math.inf)
         self._single = system.alone(c)
@@ -181,11 +184,11 @@ class NearestSearch:
 
     def _bend(self, local: float) -> float:
         """The least radius of curvature that counts, in m; local: of the divided contour where it is near."""
-        own, other = self._bends[0], min(self._bends[1], local)
-        if len(self.whole.points) > 1:
-            return min(own, other, _LARGEST)
-        # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
-        return min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
+        own, other, rounding = self._bends[0], min(self._bends[1], local), self.whole.rounding
+        if rounding > 0.0:
+            # in a hollow, what is left of its radius
+            other = max(other - rounding, 0.5 * min(rounding, other))
+        return min(own, other, _LARGEST)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
@@ -268,7 +271,7 @@ class NearestSearch:
         cells.numbers["apart"] = neighbourhood
         lowest_cells(cells.address)
         starts = [(i, int(nearest[i])) for i in cells.lowest[: int(cells.counts["lowest"])].tolist()]
-        if not least.all():
+        if (distances + whole.rounding <= reaches + whole.radius).any():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
         is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._overlap(t, distances)
@@ -277,8 +280,8 @@ class NearestSearch:
         return _Survey(found, points, reaches, least, resolved, is_around)
 
     def _overlap(self, t: float, distances: np.ndarray) -> bool:
-        """Whether bodies are inside each other for certain, and not just beyond an end of the divided contour: a ball,
-        from whose surface its cells have these distances (n,), or samples that are below a graph."""
+        """Whether bodies are inside each other for certain, and not just beyond an end of the divided contour: what is
+        round, from whose surface its cells have these distances (n,), or samples that are below a graph."""
         rotation, centre = self.pose()
         if self.whole.rounding > 0.0:
             i = int(np.argmin(distances))
@@ -334,14 +337,13 @@ class NearestSearch:
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         numbers, samples = np.array(starts).T
-        # what is inside a ball that stands for a contour is as far from it as its surface
         cells.targets[:n] = (whole.points[samples] - whole.centre) @ rotation.T + centre
         cells.feet[:n], cells.counts["feet"] = cells.middles[numbers], n
         find_feet(cells.address)
         places = np.zeros((n, 4))
         own, other = slice(2 * self.side, 2 * self.side + 2), slice(2 - 2 * self.side, 4 - 2 * self.side)
         places[:, other], places[:, own] = cells.feet[:n], whole.parameters[samples]
-        if isinstance(whole.contour, Sphere):
+        if whole.rounding > 0.0:
             places[:, own] = self._facing(evaluated(self.divided, cells.feet[:n], t)[:, 0])
         side = int(system.contact_int[c, SIDE])
         sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
@@ -351,11 +353,11 @@ class NearestSearch:
         return found, SINGULAR in statuses
 
     def _facing(self, points: np.ndarray) -> np.ndarray:
-        """Parameters (n, 2) of the ball that is the whole contour at which it faces points (n, 3) in the divided one's
-        frame."""
+        """Parameters (n, 2) of the ball or the torus that is the whole contour at which it faces points (n, 3) in the
+        divided one's frame."""
         rotation, centre = self.pose()
         x, y, z = ((points - centre) @ rotation).T
-        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
+        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - self.whole.core.size)], axis=1)
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:

@@ -274,25 +274,27 @@ class NearestSearch:
         if (distances + whole.rounding <= reaches + whole.radius).any():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
-        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._overlap(t, distances)
+        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, least)
         # what is farther than that has been left out
         resolved = float(distances.min()) + beyond
         return _Survey(found, points, reaches, least, resolved, is_around)
 
-    def _overlap(self, t: float, distances: np.ndarray) -> bool:
-        """Whether bodies are inside each other for certain, and not just beyond an end of the divided contour: what is
-        round, from whose surface its cells have these distances (n,), or samples that are below a graph."""
-        rotation, centre = self.pose()
-        if self.whole.rounding > 0.0:
-            i = int(np.argmin(distances))
-            depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
-        elif isinstance(self.divided, HeightField):
+    def _touch(self, t: float, distances: np.ndarray, least: np.ndarray) -> bool:
+        """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an
+        end of the divided contour: what is round, from whose surface its cells have these distances (n,), or samples
+        that are below a graph, or as near as cells tell."""
+        if len(self.whole.points) == 1 and self.whole.rounding == 0.0:
+            return False
+        i = int(np.argmin(distances))
+        depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
+        if self.whole.rounding == 0.0 and isinstance(self.divided, HeightField):
+            rotation, centre = self.pose()
             samples = (self.whole.points - self.whole.centre) @ rotation.T + centre
             depths = self.divided.evaluate_many(samples[:, :2], t)[:, 0, 2] - samples[:, 2]
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
-        else:
-            return False
+        elif self.whole.rounding == 0.0:
+            depth = math.inf if not least.all() else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])

@@ -258,5 +258,11 @@ class Nearness:
             return None
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
         deepest = max(self.moved(t), shallow) if self.distance > -math.inf else shallow
-        inside = [found for found in self.find(t) if -deepest <= found.gap < 0.0]
+        slack = float(self.system.gap_accuracy[self.c])
+        inside = [
+            found
+            for found in self.find(t)
+            # what comes out of where nobody knows that it is inside does not enter
+            if -deepest <= found.gap < 0.0 and not (found.gap >= -slack and self._gap_rate(found, t) > 0.0)
+        ]
         return min(inside, key=lambda found: found.gap, default=None)

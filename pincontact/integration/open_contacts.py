@@ -80,8 +80,8 @@ class OpenContacts:
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
-        # states from which a step went far for what is near, by contact
-        self._far: dict[int, np.ndarray] = {}
+        # states from which a step went far for what is near, and how far, in m, by contact
+        self._far: dict[int, tuple[np.ndarray, float]] = {}
         self.trouble, self.where = FLIES_THROUGH, 0
         self.relocated: set[int] = set()
         self.is_near = False
@@ -220,7 +220,7 @@ class OpenContacts:
                 return 0
             if self.apart[c] and way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
-                self._far[c] = self.system.state.copy()
+                self._far[c] = self.system.state.copy(), way
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
             steps = min(steps, max(int(min(time_to_cover(max(certain, 0.0), speed, acceleration) / h, MANY_STEPS)), 1))
         return steps
@@ -252,18 +252,21 @@ class OpenContacts:
         long."""
         far, self._far = self._far, {}
         system, nq = self.system, self.system.nq
-        far = {c: before for c, before in far.items() if system.modes[c] == FREE and not touched[c]}
+        far = {c: there for c, there in far.items() if system.modes[c] == FREE and not touched[c]}
         if not far:
             return False
         end, through = system.state.copy(), False
-        for c, before in far.items():
+        for c, (before, way) in far.items():
+            start = math.nan
             for part in (i / _WAY_STATIONS for i in range(_WAY_STATIONS + 1)):
                 system.stage_state[:] = before + part * (end - before)
                 system.stage_state[:nq] = pin.interpolate(system.model, before[:nq], end[:nq], part)
                 load_state(system.address)
                 system.evaluate_kinematics(t - (1.0 - part) * h)
-                inside = system.contact_real[c, DOMAIN] >= 0.0
-                if inside and system.gaps[c, 0] < -_GRAZES * system.contact_real[c, LENGTH]:
+                gap, inside = system.gaps[c, 0], system.contact_real[c, DOMAIN] >= 0.0
+                start = gap if part == 0.0 else start
+                # elsewhere, where it was not followed to, gaps tell nothing
+                if inside and abs(gap - start) <= way and gap < -_GRAZES * system.contact_real[c, LENGTH]:
                     self.trouble, self.where, through = FLIES_THROUGH, c, True
         system.stage_state[:] = end
         load_state(system.address)

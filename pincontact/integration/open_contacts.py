@@ -433,6 +433,15 @@ class OpenContacts:
         self.find(t, c)
         return True
 
+    def is_behind(self, t: float, c: int) -> bool:
+        """Whether the bodies of contact c, which is open and has a negative gap at the evaluated state, are inside or
+        behind each other: not where all places are other contacts', or they are apart where they are nearest."""
+        known = self._nearness(c, t)
+        if known.search is None:
+            return True
+        found = known.look(t).candidate
+        return found is not None and found.gap < 0.0
+
     def _is_present(self, c: int, found: Candidate) -> bool:
         """Whether a candidate is where contact c is."""
         system, same = self.system, SAME_PLACE * self.system.contact_real[c, LENGTH]

@@ -81,9 +81,7 @@ def test_balls_at_steep_flanks(seed, method):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-@pytest.mark.parametrize(
-    ("height", "width", "beside"), [(0.05, 0.004, 0.03), (0.05, 0.006, 0.02), (0.03, 0.003, 0.01), (0.05, 0.008, 0.045)]
-)
+@pytest.mark.parametrize(("height", "width", "beside"), [(0.05, 0.004, 0.03), (0.05, 0.008, 0.045)])
 def test_a_ball_rolls_against_a_thin_post(height, width, beside, method):
     def field(x, y):
         return height * np.exp(-(x * x + y * y) / (2.0 * width**2))
@@ -113,7 +111,7 @@ def on_axis(shape, placement, z, v=None, own=None, side=None):
     scene.add_contour("ball", own, frame="body")
     scene.add_contour("around", shape, placement=placement)
     scene.add_contact("c", "ball", "around", side=side)
-    return scene, scene.initial_state([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0], v, free=["c"])
+    return scene, scene.initial_state([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0][: scene.model.nq], v, free=["c"])
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])

@@ -137,9 +137,9 @@ class Nearness:
 
     @property
     def through(self) -> float:
-        """How far in m bodies may move in a step without going through each other where they are near: one of them is
-        as thick, or both are as thick as their radii of curvature say."""
-        return max(_THROUGH * self.near, 2.0 * inner_radius(self.system, self.c))
+        """How far in m bodies may move in a step without going through each other where they are near: both are as
+        thick as their radii of curvature say, or it is little for one of them."""
+        return max(_THROUGH * self.near, _NEAR * inner_radius(self.system, self.c))
 
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""

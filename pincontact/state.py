@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 # How far a quaternion's norm may be from 1 before it is taken for a mistake.
 _NORM_TOLERANCE = 1e-6
 _FLOAT = np.dtype(float)
+# How far beside a symmetrical configuration it is looked for what is nearest, in lengths of the contact and rad.
+_BESIDE = 1e-2
 # Inertia that is left to a joint once all others are free, as part of what it moves, below which it is round-off.
 _NO_INERTIA = 1e-10
 # Of each kind of block of the configuration, where what has norm 1 begins and how long it is.
@@ -370,16 +372,41 @@ def _candidates(
                 guess[offset : offset + values.size] = values
     guess[contact.body1.contour.dimension : 2] = 0.0
     guess[2 + contact.body2.contour.dimension :] = 0.0
-    found = find_candidates(single, t, guess, beyond=is_free)
-    if is_free and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
+    if not is_free:
+        return find_candidates(single, t, guess)
+    try:
+        found = find_candidates(single, t, guess, beyond=True)
+    except SingularContactError:
+        if not (is_searched(single, 0) and _are_apart(single, t)):
+            raise
+        return _beside(single, t, guess)
+    if found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest
-        found = [one for one in found if one.gap >= 0.0]
-        if not found:
-            raise SingularContactError(
-                f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and nearest "
-                "along a line or a circle, as on an axis of symmetry: move q a little",
-                0.0,
-            )
+        found = [one for one in found if one.gap >= 0.0] or _beside(single, t, guess)
+    return found
+
+
+def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
+    """Candidates of an open contact whose bodies are apart, and nearest along a line or a circle: those of a
+    configuration a little beside. Where it is evaluated it is nowhere, and looked for as soon as bodies have moved."""
+    contact = single.contacts[0]
+    # in no direction that a symmetry has
+    step = np.random.default_rng(0).uniform(-1.0, 1.0, single.nv) * _BESIDE * single.contact_real[0, LENGTH]
+    single.q[:] = pin.integrate(single.model, single.q, step)
+    single.evaluate_kinematics(t)
+    try:
+        every = find_candidates(single, t, guess, beyond=True)
+    except SingularContactError:
+        every = []
+    found = [one for one in every if one.gap > 0.0]
+    if not found:
+        pair = f"{contact.first.name!r} and {contact.second.name!r}"
+        why = (
+            f"on the other side of each other than it has them: give add_contact side={-(contact.side or 1):+d}"
+            if every
+            else "nearest along a line or a circle wherever they move: there is no point contact"
+        )
+        raise SingularContactError(f"contact {contact.name!r}: {pair} are apart, and {why}", 0.0)
     return found
 
 

@@ -133,7 +133,6 @@ def test_least_radius_of_curvature():
     [
         pc.Circle(0.3),
         pc.Ellipse(0.3, 0.1, (0.0, 1.0)),
-        pc.Torus(0.6, 0.2),
         pc.Ellipsoid(0.3, 0.2, 0.1),
         pc.Plane(((0.0, 1.0), (2.0, 5.0))),
         pc.Cylinder(0.3, (None, (1.0, 2.0))),
@@ -165,6 +164,12 @@ def test_points_and_balls_are_their_centres():
     assert (point.rounding, point.radius, point.extent) == (0.0, 0.0, 0.0)
     assert ball.points.tolist() == point.points.tolist() == [[0.0, 0.0, 0.0]]
     assert not ball.centre.any()
+
+
+def test_a_torus_is_its_centre_circle():
+    tube, circle = Whole(pc.Torus(0.6, 0.2), 0.0), Whole(pc.Circle(0.6), 0.0)
+    assert tube.rounding == 0.2 and tube.points.tolist() == circle.points.tolist()
+    assert (tube.radius, tube.extent, tube.size) == (circle.radius, circle.extent, circle.extent + 0.2)
 
 
 def torus_distance(major, minor):

@@ -162,7 +162,7 @@ def test_a_reset_forgets_what_was_found():
     again.reset(low)
     for stepper in (again, new):
         stepper.step(np.zeros(6))
-    found, expected = (stepper._step._open._known[0, True].distance for stepper in (again, new))
+    found, expected = (stepper._step.open._known[0, True].distance for stepper in (again, new))
     assert found == expected < 0.2
 
 

@@ -470,12 +470,7 @@ def test_drops_onto_an_axis_of_symmetry(kind, method):
         scene.add_contour("ground", pc.HeightField(shape))
         # given, or to be inferred
         scene.add_contact("c", "own", "ground", side=1 if height < 0.5 else None)
-        try:
-            state = scene.initial_state(lying(beside, 0.0, height), free=["c"])
-        except pc.SingularContactError:
-            # nearest all around, and told before anything moves
-            assert kind == "pit"
-            continue
+        state = scene.initial_state(lying(beside, 0.0, height), free=["c"])
         run = pc.simulate(scene, state, fall(height) + 0.1, method=method)
         assert run.status in (0, -3), run.message
         assert kind == "trench" or "along a line or a circle" in run.message, run.message
@@ -490,14 +485,14 @@ def test_drops_onto_an_axis_of_symmetry(kind, method):
 
 @pytest.mark.parametrize("contacts", [1, 2])
 def test_a_place_that_is_found_too_late_is_told(contacts):
-    """A ball rolls against a post of 4 mm, whose flank has no nearest point that is found before it is inside."""
+    """A ball rolls against a needle of half a millimetre, which no cell shows before the ball is inside."""
     scene = pc.Scene(body(pc.Sphere(0.05)))
     scene.add_contour("ball", pc.Sphere(0.05), frame="body")
-    scene.add_contour("ground", pc.HeightField(lambda x, y: 0.05 * np.exp(-(x * x + y * y) / (2.0 * 0.004**2))))
+    scene.add_contour("ground", pc.HeightField(lambda x, y: 0.05 * np.exp(-(x * x + y * y) / (2.0 * 0.0005**2))))
     names = [f"c{i}" for i in range(contacts)]
     for name in names:
         scene.add_contact(name, "ball", "ground", friction=pc.Coulomb(0.2))
     state = scene.initial_state(lying(-0.3, 0.03, 0.05), [1.0, 0.0, 0.0, 0.0, 20.0, 0.0], free=names[1:])
     run = pc.simulate(scene, state, 0.6)
-    assert run.status == -3 and run.t[-1] == pytest.approx(0.258, abs=2e-3), run.message
-    assert inside(run.q, lambda x, y: 0.05 * np.exp(-(x * x + y * y) / (2.0 * 0.004**2)), 0.05) < 1e-3
+    assert run.status == -3 and run.t[-1] == pytest.approx(0.26, abs=2e-3), run.message
+    assert inside(run.q, lambda x, y: 0.05 * np.exp(-(x * x + y * y) / (2.0 * 0.0005**2)), 0.05) < 1e-3

@@ -21,8 +21,11 @@ from .small import cross, dot, norm, rotate_back
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
 CURVE_CELLS, SURFACE_CELLS = 128, 24
 _DIVISIONS, _MOST_CELLS = 12, 4096
-# What tangents within a cell are longer by than the longest that was seen.
-LONGER = 1.2
+# What tangents within a cell are longer by than the longest that was seen, and than what was seen in the cell that it
+# is a part of: a flank that is seen from there may be in any one of its parts.
+LONGER, _KEPT = 1.2, 0.5
+# Cells are divided along both parameters but where they are so many times longer along one of them.
+_LONGISH = 2.0
 # Cells that are resolved, relative to the distance and to the radius of curvature.
 _FINE, FINEST = 0.05, 0.05
 # And relative to how much farther than the nearest ones they are, to cells of samples, and to radii of curvature there.
@@ -31,14 +34,17 @@ _COARSER = 0.25
 _LEAF, _LEVELS = 8, 24
 # Steps of Newton's method to a foot, and feet that are looked for at the same time, at most.
 _FOOT_STEPS, MOST_FEET = 4, 16
+# Among so many places, one in each other neighbourhood, those are looked for from which to start.
+_LOOKED_AT = 64
 # Relative determinants below this are round-off.
 _REGULAR = 1e-12
 
-# evaluator, dimension: of the contour; cells, feet: how many there are
-_COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet")
+# evaluator, dimension: of the contour; cells, feet, lowest: how many there are
+_COUNTS = record(INTEGERS, "evaluator", "dimension", "cells", "feet", "lowest")
 # time in s; in m: beyond, how much farther than the nearest cell others may be that are kept; around, the radius of a
-# sample's cell; finest, of cells that are resolved. sharpest: the largest curvature found in the middles of cells, 1/m
-_NUMBERS = record(REALS, "time", "beyond", "around", "finest", "sharpest")
+# sample's cell; finest, of cells that are resolved; apart, how far starts are from each other, at least. sharpest: the
+# largest curvature found in the middles of cells, 1/m
+_NUMBERS = record(REALS, "time", "beyond", "around", "finest", "apart", "sharpest")
 _REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)
 # "given": an array of somebody else's is put there
 SEARCH = Layout(
@@ -57,10 +63,14 @@ SEARCH = Layout(
     middles=(_REALS, _MOST_CELLS, 2),  # (n, 2) parameters of cells
     halves=(_REALS, _MOST_CELLS, 2),  # (n, 2) half their size
     points=(_REALS, _MOST_CELLS, 3),  # (n, 3) their middles, in the contour's frame
+    tangents=(_REALS, _MOST_CELLS, 2),  # (n, 2) how long these are in cells, as far as their middles tell
+    stretches=(_REALS, _MOST_CELLS, 2),  # (n, 2) and as far as all around tells
     reaches=(_REALS, _MOST_CELLS),  # (n,) their radii in m
     bends=(_REALS, _MOST_CELLS),  # (n,) largest curvatures in their middles, in 1/m
     distances=(_REALS, _MOST_CELLS),  # (n,) of their middles from the nearest sample, in m
     pairs=(_INTEGERS, _MOST_CELLS),  # (n,) that sample, in the order of the tree
+    left=(_INTEGERS, _MOST_CELLS),  # (n,) whether it may be chosen yet
+    lowest=(_INTEGERS, MOST_FEET // 2),  # cells to start from
     targets=(_REALS, MOST_FEET, 3),  # (MOST_FEET, 3) in the contour's frame
     feet=(_REALS, MOST_FEET, 2),  # (MOST_FEET, 2) parameters: starts, then feet
     stack=(_INTEGERS, 2 * _LEVELS),
@@ -171,7 +181,7 @@ def _curvature(rows, dimension, vectors):
 
 @kernel
 def _place_cell(search, i, u1, u2, half1, half2, guess):
-    """Make cell i of these parameters; what is known of its middle is left in `rows`."""
+    """Make cell i of these parameters, of which nothing is known but what its middle tells."""
     search.middles[i, 0], search.middles[i, 1] = u1, u2
     search.halves[i, 0], search.halves[i, 1] = half1, half2
     _evaluate(search, u1, u2)
@@ -185,19 +195,54 @@ def _place_cell(search, i, u1, u2, half1, half2, guess):
         place[k] += pose[4, k]
     search.pairs[i], search.distances[i] = _nearest_sample(search, place, guess)
     search.bends[i] = _curvature(rows, search.counts.dimension, search.vectors)
+    mixed = norm(rows[F_12])
+    search.tangents[i, 0] = norm(rows[F_1]) + half1 * norm(rows[F_11]) + half2 * mixed
+    search.tangents[i, 1] = norm(rows[F_2]) + half1 * mixed + half2 * norm(rows[F_22])
+    search.stretches[i, 0], search.stretches[i, 1] = search.tangents[i, 0], search.tangents[i, 1]
+
+
+@kernel
+def _stretch(search, i, j, a):
+    """What neighbouring cells, along parameter a, tell of each other's tangents."""
+    for k in range(2):
+        longest = max(search.tangents[i, k], search.tangents[j, k])
+        if k == a:
+            way = abs(search.middles[i, a] - search.middles[j, a])
+            longest = max(longest, math.sqrt(_square_between(search.points[i], search.points[j])) / way)
+        search.stretches[i, k] = max(search.stretches[i, k], longest)
+        search.stretches[j, k] = max(search.stretches[j, k], longest)
+
+
+@kernel
+def _reach(search, i):
+    halves, stretches = search.halves[i], search.stretches[i]
+    return LONGER * (stretches[0] * halves[0] + stretches[1] * halves[1])
 
 
 @kernel
 def _divide(search, i, n, dimension):
-    """Divide cell i, of n, in halves along each parameter: the first part takes its place, the others come last."""
-    u1, u2 = search.middles[i, 0], search.middles[i, 1]
-    half1 = 0.5 * search.halves[i, 0]
-    half2, rows = (0.5 * search.halves[i, 1], 2) if dimension == 2 else (0.0, 1)
-    guess, place = search.pairs[i], i
-    for a in range(2):
-        for b in range(rows):
-            _place_cell(search, place, u1 + (2 * a - 1) * half1, u2 + (2 * b - 1) * half2, half1, half2, guess)
+    """Divide cell i, of n, in halves along each parameter along which it is long: the first part takes its place, the
+    others come last. Their number."""
+    u1, u2, half1, half2 = search.middles[i, 0], search.middles[i, 1], search.halves[i, 0], search.halves[i, 1]
+    stretch1, stretch2 = _KEPT * search.stretches[i, 0], _KEPT * search.stretches[i, 1]
+    long1, long2 = stretch1 * half1, stretch2 * half2
+    parts1 = 2 if dimension == 1 or _LONGISH * long1 > long2 else 1
+    parts2 = 2 if dimension == 2 and _LONGISH * long2 > long1 else 1
+    half1, half2 = half1 / parts1, half2 / parts2
+    guess, place, first = search.pairs[i], i, n
+    for a in range(parts1):
+        for b in range(parts2):
+            v1, v2 = u1 + (2 * a + 1 - parts1) * half1, u2 + (2 * b + 1 - parts2) * half2
+            _place_cell(search, place, v1, v2, half1, half2, guess)
+            search.stretches[place, 0] = max(search.stretches[place, 0], stretch1)
+            search.stretches[place, 1] = max(search.stretches[place, 1], stretch2)
             place, n = n, n + 1
+    if parts1 + parts2 < 4:
+        _stretch(search, i, first, 2 - parts1)
+    else:
+        for a in range(2):
+            _stretch(search, i, first + a, 1 - a)
+            _stretch(search, first + a, first + 2, a)
     return n - 1
 
 
@@ -206,6 +251,7 @@ def _move_cell(search, i, k):
     """Cell i takes the place of cell k."""
     for a in range(2):
         search.middles[k, a], search.halves[k, a] = search.middles[i, a], search.halves[i, a]
+        search.tangents[k, a], search.stretches[k, a] = search.tangents[i, a], search.stretches[i, a]
     for a in range(3):
         search.points[k, a] = search.points[i, a]
     search.distances[k], search.pairs[k], search.bends[k] = search.distances[i], search.pairs[i], search.bends[i]
@@ -213,22 +259,23 @@ def _move_cell(search, i, k):
 
 @kernel
 def _cover(search, dimension):
-    """Cells all over the box; their number, and the lengths of the longest tangents."""
-    box, rows = search.box, search.rows
+    """Cells all over the box; their number."""
+    box = search.box
     count1, count2 = (SURFACE_CELLS, SURFACE_CELLS) if dimension == 2 else (CURVE_CELLS, 1)
     half1 = 0.5 * (box[0, 1] - box[0, 0]) / count1
     half2 = 0.5 * (box[1, 1] - box[1, 0]) / count2
-    longest1 = longest2 = 0.0
     guess, n = 0, 0
     for a in range(count1):
         for b in range(count2):
             u1, u2 = box[0, 0] + half1 * (2 * a + 1), box[1, 0] + half2 * (2 * b + 1)
             _place_cell(search, n, u1, u2, half1, half2, guess)
             guess, n = search.pairs[n], n + 1
-            longest1 = max(longest1, norm(rows[F_1]))
-            if dimension == 2:
-                longest2 = max(longest2, norm(rows[F_2]))
-    return n, longest1, longest2
+    for i in range(n):
+        if i + count2 < n:
+            _stretch(search, i, i + count2, 0)
+        if (i + 1) % count2 != 0:
+            _stretch(search, i, i + 1, 1)
+    return n
 
 
 @kernel
@@ -243,12 +290,12 @@ def near_cells(address):
     search = _search_at(address)
     counts, numbers, distances, reaches = search.counts, search.numbers, search.distances, search.reaches
     dimension = counts.dimension
-    n, longest1, longest2 = _cover(search, dimension)
+    n = _cover(search, dimension)
     for _ in range(_DIVISIONS):
         nearest = math.inf
         for i in range(n):
             nearest = min(nearest, distances[i])
-            reaches[i] = LONGER * (longest1 * search.halves[i, 0] + longest2 * search.halves[i, 1])
+            reaches[i] = _reach(search, i)
         beyond, sharpest = nearest + numbers.beyond + numbers.around, 0.0
         for i in range(n):
             if distances[i] - reaches[i] <= beyond:
@@ -270,8 +317,46 @@ def near_cells(address):
             if _is_coarse(reaches[i], distances[i] - nearest, finest):
                 n = _divide(search, i, n, dimension)
     for i in range(n):
-        reaches[i] = LONGER * (longest1 * search.halves[i, 0] + longest2 * search.halves[i, 1])
+        reaches[i] = _reach(search, i)
     counts.cells = n
+
+
+@entry_kernel(INTEGER, when=CALLED)
+def lowest_cells(address):
+    """Where to start from: the cells with the least distances, apart from each other, and first those that have no
+    lower one so near, or next to them. Around where a large body touches many are lower than wherever it touches
+    next."""
+    search = _search_at(address)
+    counts, points, distances, reaches = search.counts, search.points, search.distances, search.reaches
+    left = search.left
+    apart, lowest, n, found, total = search.numbers.apart, search.lowest, counts.cells, 0, 0
+    most = lowest.shape[0]
+    for j in range(n):
+        left[j] = 1
+    for _ in range(_LOOKED_AT):
+        i = -1
+        for j in range(n):
+            if left[j] != 0 and (i < 0 or distances[j] < distances[i]):
+                i = j
+        if i < 0 or found == most:
+            break
+        is_lowest = True
+        for j in range(n):
+            way = math.sqrt(_square_between(points[i], points[j]))
+            if way <= apart:
+                left[j] = 0
+            if distances[j] < distances[i] and way <= max(apart, reaches[i] + reaches[j]):
+                is_lowest = False
+        if total < most:
+            total += 1
+        elif not is_lowest:
+            continue
+        if is_lowest:
+            lowest[total - 1], lowest[found] = lowest[found], i
+            found += 1
+        else:
+            lowest[total - 1] = i
+    counts.lowest = total
 
 
 @kernel

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..contours import Contour, Ellipsoid, HeightField, Plane, Sphere
+from ..contours import Circle, Contour, Ellipsoid, HeightField, Plane, Point, Sphere, Torus
 from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE, SINGULAR
 from ..workspace import Workspace
 from .carriers import ORIGIN
@@ -27,6 +27,7 @@ from .cells import (
     SURFACE_CELLS,
     SampleTree,
     find_feet,
+    lowest_cells,
     near_cells,
     put_samples,
     search_workspace,
@@ -39,8 +40,6 @@ from .search import Candidate, evaluated, grid, spaced, stationary_points
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 # Starts of Newton's method from what is nearest, and as many from what may be inside.
 _STARTS = MOST_FEET // 2
-# Among so many places, one in each other neighbourhood, these are looked for.
-_LOOKED_AT = 64
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
 # What is no overlap of samples: round-off where they touch.
@@ -86,21 +85,24 @@ class _Survey(NamedTuple):
 
 
 class Whole:
-    """A contour of finite extent as samples. points (n, 3), parameters (n, 2), counts: samples along each parameter,
-    radius: of a sample's cell, in m; centre (3,), extent: of a ball around it, in m; rounding: radius of a ball whose
-    centre stands for it."""
+    """A contour of finite extent as samples of its core, from which all that it has is as far as its rounding: the
+    centre of a ball, the centre circle of a torus, or itself. points (n, 3), parameters (n, 2), counts: samples along
+    each parameter, radius: of a sample's cell, in m; centre (3,), extent: of a ball around the core, in m; rounding in
+    m."""
 
     def __init__(self, contour: Contour, t: float) -> None:
-        self.contour, self.rounding = contour, 0.0
+        self.contour, self.core, self.rounding = contour, contour, 0.0
+        if isinstance(contour, Sphere):
+            self.core, self.rounding = Point(), contour.shape[0]
+        elif isinstance(contour, Torus):
+            self.core, self.rounding = Circle(contour.shape[0]), contour.shape[1]
         self.counts: tuple[int, ...] = (1,)
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
-        if isinstance(contour, Sphere):
-            self.rounding = contour.shape[0]
-        elif contour.dimension > 0:
-            counts = (_WHOLE_CURVE,) if contour.dimension == 1 else _WHOLE_SURFACE
+        if self.core.dimension > 0:
+            counts = (_WHOLE_CURVE,) if self.core.dimension == 1 else _WHOLE_SURFACE
             self.counts = counts
-            centres, half = _cells(contour.domain, counts)
-            values = evaluated(contour, centres, t)
+            centres, half = _cells(self.core.domain, counts)
+            values = evaluated(self.core, centres, t)
             self.parameters, self.points = centres, values[:, 0]
             self.radius = float(_reaches(values, half).max())
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -168,7 +170,7 @@ class NearestSearch:
             raise ValueError("both contours are unbounded.")
         self.side, self.whole = found
         self.divided = contours[1 - self.side]
-        one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.contour, self.divided))
+        one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.core, self.divided))
         self._bends = one, two
         self.bend = self._bend(math.inf)
         self._single = system.alone(c)
@@ -182,11 +184,11 @@ class NearestSearch:
 
     def _bend(self, local: float) -> float:
         """The least radius of curvature that counts, in m; local: of the divided contour where it is near."""
-        own, other = self._bends[0], min(self._bends[1], local)
-        if len(self.whole.points) > 1:
-            return min(own, other, _LARGEST)
-        # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
-        return min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
+        own, other, rounding = self._bends[0], min(self._bends[1], local), self.whole.rounding
+        if rounding > 0.0:
+            # in a hollow, what is left of its radius
+            other = max(other - rounding, 0.5 * min(rounding, other))
+        return min(own, other, _LARGEST)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
@@ -266,29 +268,33 @@ class NearestSearch:
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         nearest = cells.order[cells.pairs[:count]]
-        starts = [(i, int(nearest[i])) for i in _lowest(points, distances, neighbourhood)]
-        if not least.all():
+        cells.numbers["apart"] = neighbourhood
+        lowest_cells(cells.address)
+        starts = [(i, int(nearest[i])) for i in cells.lowest[: int(cells.counts["lowest"])].tolist()]
+        if (distances + whole.rounding <= reaches + whole.radius).any():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
-        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._overlap(t, distances)
+        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, least)
         # what is farther than that has been left out
         resolved = float(distances.min()) + beyond
         return _Survey(found, points, reaches, least, resolved, is_around)
 
-    def _overlap(self, t: float, distances: np.ndarray) -> bool:
-        """Whether bodies are inside each other for certain, and not just beyond an end of the divided contour: a ball,
-        from whose surface its cells have these distances (n,), or samples that are below a graph."""
-        rotation, centre = self.pose()
-        if self.whole.rounding > 0.0:
-            i = int(np.argmin(distances))
-            depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
-        elif isinstance(self.divided, HeightField):
+    def _touch(self, t: float, distances: np.ndarray, least: np.ndarray) -> bool:
+        """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an
+        end of the divided contour: what is round, from whose surface its cells have these distances (n,), or samples
+        that are below a graph, or as near as cells tell."""
+        if len(self.whole.points) == 1 and self.whole.rounding == 0.0:
+            return False
+        i = int(np.argmin(distances))
+        depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
+        if self.whole.rounding == 0.0 and isinstance(self.divided, HeightField):
+            rotation, centre = self.pose()
             samples = (self.whole.points - self.whole.centre) @ rotation.T + centre
             depths = self.divided.evaluate_many(samples[:, :2], t)[:, 0, 2] - samples[:, 2]
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
-        else:
-            return False
+        elif self.whole.rounding == 0.0:
+            depth = math.inf if not least.all() else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
@@ -333,14 +339,13 @@ class NearestSearch:
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         numbers, samples = np.array(starts).T
-        # what is inside a ball that stands for a contour is as far from it as its surface
         cells.targets[:n] = (whole.points[samples] - whole.centre) @ rotation.T + centre
         cells.feet[:n], cells.counts["feet"] = cells.middles[numbers], n
         find_feet(cells.address)
         places = np.zeros((n, 4))
         own, other = slice(2 * self.side, 2 * self.side + 2), slice(2 - 2 * self.side, 4 - 2 * self.side)
         places[:, other], places[:, own] = cells.feet[:n], whole.parameters[samples]
-        if isinstance(whole.contour, Sphere):
+        if whole.rounding > 0.0:
             places[:, own] = self._facing(evaluated(self.divided, cells.feet[:n], t)[:, 0])
         side = int(system.contact_int[c, SIDE])
         sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
@@ -350,28 +355,11 @@ class NearestSearch:
         return found, SINGULAR in statuses
 
     def _facing(self, points: np.ndarray) -> np.ndarray:
-        """Parameters (n, 2) of the ball that is the whole contour at which it faces points (n, 3) in the divided one's
-        frame."""
+        """Parameters (n, 2) of the ball or the torus that is the whole contour at which it faces points (n, 3) in the
+        divided one's frame."""
         rotation, centre = self.pose()
         x, y, z = ((points - centre) @ rotation).T
-        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)
-
-
-def _lowest(points: np.ndarray, distances: np.ndarray, apart: float) -> list[int]:
-    """Where to start from: of points (n, 3) those with the least distances, apart from each other, and first those that
-    have no lower one so near. Around where a large body touches many are lower than wherever it touches next."""
-    order = np.argsort(distances)
-    sorted_points, left = points[order], np.ones(len(order), dtype=bool)
-    lowest: list[int] = []
-    others: list[int] = []
-    for _ in range(_LOOKED_AT):
-        i = int(np.argmax(left))
-        if not left[i] or len(lowest) == _STARTS:
-            break
-        near = ((sorted_points - sorted_points[i]) ** 2).sum(axis=1) <= apart * apart
-        (others if near[:i].any() else lowest).append(int(order[i]))
-        left &= ~near
-    return (lowest + others)[:_STARTS]
+        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - self.whole.core.size)], axis=1)
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:

@@ -116,7 +116,8 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
     if not found and SINGULAR in statuses:
         raise SingularContactError(
             f"contact {contact.name!r}: the location equations are singular wherever {contact.first.name!r} and "
-            f"{contact.second.name!r} could touch: contours that fit into each other, or are parallel",
+            f"{contact.second.name!r} could touch, as where contours fit into each other, are parallel, or one of them "
+            "is on an axis of symmetry of the other: move q a little",
             abs(float(system.contact_real[0, CONDITION])),
         )
     return sorted(found, key=lambda c: abs(c.gap))

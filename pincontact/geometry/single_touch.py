@@ -142,6 +142,17 @@ def _largest_radius(contour: Contour, in_plane: bool) -> float:
     return 1.0 / least if least > 0.0 else math.inf
 
 
+def inner_radius(system: Workspace, c: int) -> float:
+    """Radius in m of the largest ball that is known to roll freely inside one of the bodies of contact c, in the plane
+    of planar curves: no step of less than its diameter goes through both bodies, and one of length s that begins and
+    ends where they are apart has had them no deeper than s^2 / 8 over the radius inside each other."""
+    in_plane = bool(system.contact_int[c, PATTERN] == PLANAR)
+    contours = system.contacts[c].body1.contour, system.contacts[c].body2.contour
+    bodies = (one for one in contours if one.dimension == (1 if in_plane else 2) and np.isfinite(one.domain).all())
+    convex = [one for one in bodies if one.convex_side != 0 and not one.time_dependent]
+    return max((1.0 / float(np.abs(_curvatures(one, in_plane)).max()) for one in convex), default=0.0)
+
+
 @functools.lru_cache(maxsize=64)
 def _rolls_freely(contour: Contour, side: int, radius: float, in_plane: bool) -> bool:
     """Whether a ball of this radius in m that touches a contour anywhere, on this side, is inside it nowhere."""

@@ -134,7 +134,8 @@ class Driver:
             return ""
         # steps in which these are not apart end in an evaluation of all
         opened.follow(t)
-        return left_behind(system, np.where(opened.apart, 0.0, system.gaps[:nc, 0]), system.contact_real[:nc, DOMAIN])
+        gaps, ways = np.where(opened.apart, 0.0, system.gaps[:nc, 0]), system.contact_real[:nc, DOMAIN]
+        return left_behind(system, gaps, ways, opened, t)
 
     def _run(self, t: float, t_end: float) -> None:
         stops = [*(math.nextafter(time, -math.inf) for time in self.options.breakpoints), t_end]

@@ -123,7 +123,7 @@ class MoreauStep:
     what resisted motions did at its start and do after it, see `impulse_layout.SLIP`; start_joint, joint_state,
     limit_time (ng,): what limited coordinates did at the start and do after the last step, see
     `impulse_layout.JOINT_MOVES`, and when one came to an end of its way. apart: closed contacts that were
-    apart when the motion began, and by how many metres.
+    apart when the motion began, and by how many metres; open: what is known of open ones.
     """
 
     def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
@@ -171,12 +171,12 @@ class MoreauStep:
         # into how many parts the present step is divided
         self.parts = 1
         # whether steps have to stop for a look at open contacts
-        self._looks = self._open.watches()
+        self._looks = self.open.watches()
 
     def _begin_anew(self) -> None:
         system = self.system
         self.cones.begin()
-        self._open = OpenContacts(system)
+        self.open = OpenContacts(system)
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
         if self._viscous:
             # the mass matrix with viscous friction couples branches of the tree
@@ -219,7 +219,7 @@ class MoreauStep:
     def begin(self, t: float) -> int:
         """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status; sets
         `apart`."""
-        self._open.forget_way()
+        self.open.forget_way()
         # contact problems leave open what constraints that are next to redundant would turn into much more
         self.system.counters["redundant"] = 1
         closed = self.system.closed()
@@ -379,33 +379,33 @@ class MoreauStep:
         nothing; none, where they cannot go on, see `trouble`."""
         size = self._numbers["step_size"].item()
         t = self._numbers["run_start"].item() + self.steps * size
-        if not (self._looks and self._open.are_any(t)):
+        if not (self._looks and self.open.are_any(t)):
             return MANY_STEPS
         behind = self.step_arrays.behind
         beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
-        self._open.apart[:] = (behind[: self.system.nc] == 0) & ~beside
-        steps = self._open.look(t, size, self.touch_time >= 0.0)
-        if self._open.relocated:
-            relocated = list(self._open.relocated)
-            self._open.relocated.clear()
+        self.open.apart[:] = (behind[: self.system.nc] == 0) & ~beside
+        steps = self.open.look(t, size, self.touch_time >= 0.0)
+        if self.open.relocated:
+            relocated = list(self.open.relocated)
+            self.open.relocated.clear()
             self._run(RELOCATE, t)
             # these have been looked for there: they have not leapt
-            behind[relocated] = ~self._open.apart[relocated]
+            behind[relocated] = ~self.open.apart[relocated]
         return steps
 
     def follow(self, t: float) -> None:
         """Look at t, the start of the next step, whether open contacts are where they are nearest."""
-        if self._looks and FREE in self.system.modes.tolist() and self._open.follow(t):
+        if self._looks and FREE in self.system.modes.tolist() and self.open.follow(t):
             self._run(RELOCATE, t)
 
     def goes_wrong(self, t: float) -> bool:
         """Whether the last step, which ended at t, carried bodies through what was near, or into it, see `trouble`."""
-        return self._looks and self._open.goes_wrong(t, self.size, self.touch_time >= 0.0)
+        return self._looks and self.open.goes_wrong(t, self.size, self.touch_time >= 0.0)
 
     @property
     def trouble(self) -> int:
         """Why steps cannot go on."""
-        return self._open.trouble
+        return self.open.trouble
 
     # ---------------------------------------------------------------- what there is to be told
 
@@ -468,7 +468,7 @@ class MoreauStep:
         elif status == CONTOUR_ENDS:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
         elif status in (FLIES_THROUGH, TOUCHES_TWICE, TOUCHES_AROUND):
-            where = f"contact {system.contacts[self._open.where].name!r}: "
+            where = f"contact {system.contacts[self.open.where].name!r}: "
         elif status == MOTION_JUMPS:
             where = f"the bodies of contact {system.contacts[self._counts['jumped']].name!r} are moved "
         elif status == CLOSED_APART:
@@ -535,4 +535,4 @@ class MoreauStep:
         self.cones.solver.forget()
         if self._looks:
             # what was found on another way
-            self._open = OpenContacts(self.system)
+            self.open = OpenContacts(self.system)

@@ -67,9 +67,9 @@ class MoreauDriver:
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
-        return FINISHED, "the end of the interval was reached" + self._remarks()
+        return FINISHED, "the end of the interval was reached" + self._remarks(t_end)
 
-    def _remarks(self) -> str:
+    def _remarks(self, t: float) -> str:
         """What is to be said of problems that had no solution, or none that was found, and of loads on which the motion
         depends, and of which more than one choice is right."""
         cones, left_open, said = self.step.cones, self.step.stats["open_loads"], ""
@@ -78,7 +78,8 @@ class MoreauDriver:
             said += f"; {cones.settled} cone problems were settled with the friction of other loads, {off}"
         if left_open:
             said += f"; in {left_open} cone problems {OPEN_LOADS}"
-        return said + left_behind(self.system, self.step.start_gap, self.step.start_domain) + lost_zeros(self.users)
+        behind = left_behind(self.system, self.step.start_gap, self.step.start_domain, self.step.open, t)
+        return said + behind + lost_zeros(self.users)
 
     def _run(self, start: float, end: float) -> None:
         step = self.step

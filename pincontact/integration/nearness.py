@@ -11,6 +11,7 @@ from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched, least_whole
+from ..geometry.single_touch import inner_radius
 from ..layout import (
     APPROACH_SPEED,
     BRANCH,
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 # How far bodies may move within a step where they are near, in radii of curvature.
 _NEAR = 0.25
+# How far one may go through nothing that is as thick as its radius of curvature says, in what they may move so.
+_THROUGH = 8.0
 # Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
 _INSTANTS, _CHANGE = 16, 0.75
 # Contact coordinates (4,), branch, sign of the determinant, and charts of an open contact.
@@ -131,6 +134,12 @@ class Nearness:
         """How far in m bodies may move in a step where they are near each other; where it is searched, only after the
         first search."""
         return self._far if self.search is None else _NEAR * self.search.bend
+
+    @property
+    def through(self) -> float:
+        """How far in m bodies may move in a step without going through each other where they are near: both are as
+        thick as their radii of curvature say, or it is little for one of them."""
+        return max(_THROUGH * self.near, _NEAR * inner_radius(self.system, self.c))
 
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""
@@ -249,5 +258,11 @@ class Nearness:
             return None
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
         deepest = max(self.moved(t), shallow) if self.distance > -math.inf else shallow
-        inside = [found for found in self.find(t) if -deepest <= found.gap < 0.0]
+        slack = float(self.system.gap_accuracy[self.c])
+        inside = [
+            found
+            for found in self.find(t)
+            # what comes out of where nobody knows that it is inside does not enter
+            if -deepest <= found.gap < 0.0 and not (found.gap >= -slack and self._gap_rate(found, t) > 0.0)
+        ]
         return min(inside, key=lambda found: found.gap, default=None)

@@ -51,9 +51,8 @@ _TOO_FAR = 2.0
 _DEEPER = 4.0
 # Constant steps are looked at beside closed contacts after bodies have moved this part of how far they may near others.
 _LATE = 0.05
-# Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
-# nothing that is as thick as its radius of curvature says.
-MANY_STEPS, _THROUGH = 1_000_000, 8.0
+# Constant steps between two looks, at most.
+MANY_STEPS = 1_000_000
 # Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
 _WAY_STATIONS, _GRAZES = 16, 1e-2
 
@@ -83,8 +82,8 @@ class OpenContacts:
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
-        # states from which a step went far for what is near, by contact
-        self._far: dict[int, np.ndarray] = {}
+        # states from which a step went far for what is near, and how far, in m, by contact
+        self._far: dict[int, tuple[np.ndarray, float]] = {}
         self.trouble, self.where = FLIES_THROUGH, 0
         self.relocated: set[int] = set()
         self.is_near = False
@@ -209,7 +208,8 @@ class OpenContacts:
                 continue
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
-                if lost or known.moved(t) + way > known.elsewhere:
+                # what is where it is followed may not go through it, either
+                if lost or known.moved(t) + way > known.elsewhere or way > known.through:
                     # what steps end with is before the last correction of gaps
                     self.system.evaluate_kinematics(t)
                     found = self.find(t, c, way, h)
@@ -221,12 +221,12 @@ class OpenContacts:
                         self.apart[c] = found.gap > -_DEEPER * way
                 distance = self._distance(known, t)
             # what is behind a contour goes through it
-            if self.apart[c] and way > max(distance, _THROUGH * known.near):
+            if self.apart[c] and way > max(distance, known.through):
                 self.trouble, self.where = FLIES_THROUGH, c
                 return 0
             if self.apart[c] and way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
-                self._far[c] = self.system.state.copy()
+                self._far[c] = self.system.state.copy(), way
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
             steps = min(steps, max(int(min(time_to_cover(max(certain, 0.0), speed, acceleration) / h, MANY_STEPS)), 1))
         return steps
@@ -258,18 +258,21 @@ class OpenContacts:
         long."""
         far, self._far = self._far, {}
         system, nq = self.system, self.system.nq
-        far = {c: before for c, before in far.items() if system.modes[c] == FREE and not touched[c]}
+        far = {c: there for c, there in far.items() if system.modes[c] == FREE and not touched[c]}
         if not far:
             return False
         end, through = system.state.copy(), False
-        for c, before in far.items():
+        for c, (before, way) in far.items():
+            start = math.nan
             for part in (i / _WAY_STATIONS for i in range(_WAY_STATIONS + 1)):
                 system.stage_state[:] = before + part * (end - before)
                 system.stage_state[:nq] = pin.interpolate(system.model, before[:nq], end[:nq], part)
                 load_state(system.address)
                 system.evaluate_kinematics(t - (1.0 - part) * h)
-                inside = system.contact_real[c, DOMAIN] >= 0.0
-                if inside and system.gaps[c, 0] < -_GRAZES * system.contact_real[c, LENGTH]:
+                gap, inside = system.gaps[c, 0], system.contact_real[c, DOMAIN] >= 0.0
+                start = gap if part == 0.0 else start
+                # elsewhere, where it was not followed to, gaps tell nothing
+                if inside and abs(gap - start) <= way and gap < -_GRAZES * system.contact_real[c, LENGTH]:
                     self.trouble, self.where, through = FLIES_THROUGH, c, True
         system.stage_state[:] = end
         load_state(system.address)
@@ -435,6 +438,15 @@ class OpenContacts:
             return found.gap > 0.0
         self.find(t, c)
         return True
+
+    def is_behind(self, t: float, c: int) -> bool:
+        """Whether the bodies of contact c, which is open and has a negative gap at the evaluated state, are inside or
+        behind each other: not where all places are other contacts', or they are apart where they are nearest."""
+        known = self._nearness(c, t)
+        if known.search is None:
+            return True
+        found = known.look(t).candidate
+        return found is not None and found.gap < 0.0
 
     def _is_present(self, c: int, found: Candidate) -> bool:
         """Whether a candidate is where contact c is."""

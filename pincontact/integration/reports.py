@@ -22,6 +22,7 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
+from .open_contacts import OpenContacts
 from .results import (
     ADVICE,
     CHATTER,
@@ -234,13 +235,13 @@ def least_conditioned(system: System, below: float = math.inf) -> str:
     return f"; of the closed contacts {name!r} has the least conditioning, {conditions[least]:.3g}"
 
 
-def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray) -> str:
+def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray, opened: OpenContacts, t: float) -> str:
     """What a run says of bodies that end inside or behind each other, where open contacts do not touch.
 
-    gaps, ways (nc,): in m, and to the nearest end of the contours' domains, at the end of the run.
+    gaps, ways (nc,): in m, and to the nearest end of the contours' domains, at the end of the run, t in s.
     """
     deep = -_BEHIND * system.contact_real[: system.nc, LENGTH]
     open_there = (system.modes == FREE) & (system.contact_int[: system.nc, UNILATERAL] != 0) & (ways >= 0.0)
-    found = np.flatnonzero(open_there & (gaps < deep)).tolist()
+    found = [c for c in np.flatnonzero(open_there & (gaps < deep)).tolist() if opened.is_behind(t, c)]
     named = ", ".join(f"{system.contacts[c].name!r} (gap {gaps[c]:.3g} m)" for c in found)
     return f"; bodies end inside or behind each other at {named}: they touch only after being apart" if found else ""

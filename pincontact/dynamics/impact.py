@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 # Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
 _LARGE_FRICTION = (LARGE_FRICTION, 1e2)
-# How often radii of friction are taken from the last loads, where nothing else finds forces.
-_ROUNDS = 5
 # What accelerates, as a part of the slip, where an impact without collision is looked for: solvers know velocities to a
 # hundredth of that.
 _AHEAD = 1e-8
@@ -194,18 +192,16 @@ class _Problem(ContactProblem):
         self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             self.forces, residual = loads.solve(start)
-        for _ in range(_ROUNDS):
-            if residual <= TOLERANCE:
-                break
-            # with radii that are given it is a cone problem, and its loads tell others
-            gram, base, limits = self.cone_problem(b, loads.radii(start))
-            if not solver.solve(gram, base, np.where(self.normal > 0.0, loads.coefficients, limits), afresh=True):
-                break
-            start = np.where(self.weights > 0.0, 0.0, solver.forces)
-            self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             found = LoadSolver()
-            if found.solve(loads, start, lambda speed: None):
+
+            def guess(speed: float) -> np.ndarray | None:
+                """With radii that are given it is a cone problem, whose loads tell others."""
+                gram, base, limits = self.cone_problem(b, loads.radii(start))
+                posed = gram, base, np.where(self.normal > 0.0, loads.coefficients, limits)
+                return np.where(self.weights > 0.0, 0.0, solver.forces) if solver.solve(*posed, afresh=True) else None
+
+            if found.solve(loads, start, guess):
                 self.forces, residual = loads.refine(found.forces)
         return loads.modes(self.forces) if residual <= TOLERANCE else None
 

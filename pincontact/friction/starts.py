@@ -22,7 +22,6 @@ from .cone import (
     SLIP,
     STICK,
     TIMES,
-    TRIED,
     classify,
     cone_at,
     gauss_seidel_pass,
@@ -130,7 +129,6 @@ def try_usual_starts(delassus, b, mu, cone, nearest, gauss_seidel, afresh, toler
     if known or n == 1:
         if not known:
             modes[0] = STICK
-        counts[TRIED] += 1
         passes = NEWTON_PASSES if n == 1 else WARM_PASSES
         residual = try_start(cone, delassus, b, mu, NEAR if nearest else WARM, passes, tolerance, 0, 1)
         if residual <= tolerance:

@@ -12,7 +12,7 @@ from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
-from ..friction.starts import AFRESH, GAUSS_SEIDEL, NEAREST, USUAL
+from ..friction.starts import AFRESH, NEAR, USUAL, WARM_PASSES
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,
@@ -156,7 +156,7 @@ def _begin_anew(step, n, known):
 
 
 @kernel
-def _call(step, n, friction, known, task):
+def _call(step, n, friction, known, task, passes):
     """Solve the assembled problem of n units with these coefficients; the residual."""
     return _call_cones(
         step.calls.solve_cones,
@@ -165,7 +165,7 @@ def _call(step, n, friction, known, task):
         as_array(friction[:n]),
         known,
         task,
-        0,
+        passes,
         step.numbers.cone_tolerance,
         0,
         0,
@@ -187,7 +187,7 @@ def _solve(step, n):
     if not afresh and (known.counts[cone.KNOWN] == 0 or known.counts[cone.OWNERS] != owners):
         _begin_anew(step, n, known)
     known.counts[cone.OWNERS] = owners
-    residual = _call(step, n, step.friction, known, task)
+    residual = _call(step, n, step.friction, known, task, 0)
     if not residual <= tolerance:
         return False
     counts.solved += 1
@@ -233,9 +233,9 @@ def _stay_otherwise(step, n):
         friction[u] = step.friction[u]
         if unit.held != 0 and unit.kind == ON_CONTACT and step.start_mode[unit.index] == STICK:
             friction[u], known.modes[u], lets_go = math.inf, cone.STICK, True
-    tolerance, task = step.numbers.cone_tolerance, USUAL + NEAREST + GAUSS_SEIDEL
-    holds = lets_go and _call(step, n, friction, known, task) <= tolerance
-    holds = holds and _call(step, n, step.friction, known, task) <= tolerance
+    tolerance, task = step.numbers.cone_tolerance, max(step.counts.cone_task, NEAR)
+    holds = lets_go and _call(step, n, friction, known, task, WARM_PASSES) <= tolerance
+    holds = holds and _call(step, n, step.friction, known, task, WARM_PASSES) <= tolerance
     for u in range(n if lets_go else 0):
         holds = holds and (friction[u] == step.friction[u] or known.modes[u] == cone.STICK)
     if holds:

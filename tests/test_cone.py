@@ -536,7 +536,7 @@ def test_kernels_solve_as_python_does(contacts):
         delassus, b, mu = cold_problem(rng, problem, contacts)
         for load in (b, 1.001 * b, -b):
             assert whole.solve(delassus, load, mu)
-            residual = solve_cones(delassus, load, mu, parts.address(contacts), parts.task, 0, parts.tolerance, 0, 0)
+            residual = solve_cones(delassus, load, mu, parts.address(contacts), parts.task, parts.tolerance)
             if residual > parts.tolerance:
                 left += 1
                 assert parts.search(delassus, load, mu)

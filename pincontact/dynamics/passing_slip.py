@@ -15,7 +15,7 @@ from ..jit import INTEGER, REAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
 from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
 from .directions import freeze_slip
-from .units import mass_norm, root_of_squares
+from .units import whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -70,7 +70,7 @@ class PassingSlip:
         contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
         if not contacts or count == 0:
             return None
-        speed = mass_norm(system.factor, system.v)
+        speed = float(np.linalg.norm(whitened_velocity(system, system.v)))
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
@@ -116,14 +116,15 @@ class PassingSlip:
     def _negligible(self, speed: float) -> float:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
-        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * root_of_squares(self.system.factor))
+        return float(max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * np.linalg.norm(self.system.factor)))
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
         """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
         explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
-        system = self.system
-        speed = mass_norm(system.factor, before)
-        return mass_norm(system.factor, system.v - before), speed, self._negligible(speed)
+        speed, change = (
+            float(np.linalg.norm(whitened_velocity(self.system, v))) for v in (before, self.system.v - before)
+        )
+        return change, speed, self._negligible(speed)
 
 
 _MATRIX = REAL[:, ::1]

@@ -46,13 +46,9 @@ from .proxqp import PROGRAMS, ConePrograms
 from .starts import (
     AFRESH,
     CLASSIFY,
-    CLASSIFY_NEAR,
     GAUSS_SEIDEL,
-    GAUSS_SEIDEL_NEWTON_PASSES,
-    GAUSS_SEIDEL_PASSES,
-    GAUSS_SEIDEL_ROUNDS,
     NEAREST,
-    PASSES_PER_CONTACT,
+    NOTHING,
     STRICTNESS,
     USUAL,
     WARM,
@@ -61,8 +57,6 @@ from .starts import (
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
-# Newton passes from a point of the homotopy's path: near a solution three do, elsewhere none.
-HOMOTOPY_NEWTON_PASSES = 6
 # Values of t at which the path's forces are tried.
 HOMOTOPY_STOPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-11, 1e-13)
 # Width of the tube round the path, and size of b against the path's beginning, in the order they are tried.
@@ -76,8 +70,6 @@ ESCAPES = 2
 # Steps to a stop; a stop takes ten as a rule.
 HOMOTOPY_STEPS = 500
 QUICK_HOMOTOPY_STEPS = 20
-# Newton passes from a program's forces.
-PROGRAM_NEWTON_PASSES = 8
 # Programs per beginning where the search is to be quick: 99 problems in 100 need no more.
 QUICK_PROGRAMS = 10
 STAGES = ("sweeps", "path")
@@ -194,7 +186,7 @@ class ContactSolver:
         self.programs_first = contact_solver == "proxqp"
         # what the kernel does, nothing where programs are first; the other stages are seen to here
         usual = USUAL + (NEAREST if self.nearest else 0) + (GAUSS_SEIDEL if self.stages[:1] == ("sweeps",) else 0)
-        self.task = WARM if self.programs_first else usual
+        self.task = NOTHING if self.programs_first else usual
 
     @property
     def iterations(self) -> int:
@@ -301,7 +293,7 @@ class ContactSolver:
         """
         space = self._workspace(mu.shape[0])
         task = USUAL + AFRESH if afresh and not self.programs_first else self.task
-        self.residual = residual = solve_cones(delassus, b, mu, space.address, task, 0, self.tolerance, 0, 0)
+        self.residual = residual = solve_cones(delassus, b, mu, space.address, task, self.tolerance)
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
@@ -316,7 +308,7 @@ class ContactSolver:
         problem = delassus, b, mu
         self._qp_before = self.qp_count
         self.certificate, self.jammed = None, False
-        tried_already = bool(self.task & GAUSS_SEIDEL) and not afresh
+        tried_already = self.task != NOTHING and bool(self.task & GAUSS_SEIDEL) and not afresh
         self.residual = float(space.reached[0]) if tried_already else np.inf
         stages = sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages
         for stage in ("qp", *stages) if self.programs_first else stages:
@@ -339,12 +331,9 @@ class ContactSolver:
         counts[KNOWN], counts[DECIDED] = 1, code
         counts[TIMES + code] += 1
 
-    def _start(
-        self, problem: _Problem, task: int, passes: int, tolerance: float, relaxations: int = 0, rounds: int = 1
-    ) -> float:
+    def _start(self, problem: _Problem, task: int, tolerance: float) -> float:
         """Start from what the workspace holds, see `solve_cones`; the residual, of which the least is kept."""
-        address = self._space.address
-        found: float = solve_cones(*problem, address, task, passes, tolerance, relaxations, rounds)
+        found: float = solve_cones(*problem, self._space.address, task, tolerance)
         self.residual = found if found <= tolerance else min(found, self.residual)
         return found
 
@@ -353,16 +342,14 @@ class ContactSolver:
         space, tolerance = self._space, STRICTNESS * self.tolerance
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
-        relaxations = GAUSS_SEIDEL_PASSES + PASSES_PER_CONTACT * space.modes.size
-        task = CLASSIFY_NEAR if self.nearest else CLASSIFY
-        passes, rounds = GAUSS_SEIDEL_NEWTON_PASSES, GAUSS_SEIDEL_ROUNDS
-        return self._start(problem, task, passes, tolerance, relaxations, rounds) <= tolerance
+        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if self.nearest else 0)
+        return self._start(problem, task, tolerance) <= tolerance
 
     def _newton(self, problem: _Problem, tolerance: float) -> float:
         """The residual that Newton's method comes to from the workspace's forces."""
         if not np.isfinite(self._space.forces).all():
             return np.inf
-        return self._start(problem, CLASSIFY, HOMOTOPY_NEWTON_PASSES, tolerance)
+        return self._start(problem, CLASSIFY, tolerance)
 
     def _homotopy(self, problem: _Problem) -> bool:
         """Modes from the homotopy, tried again and again on its way down, from one beginning after the other."""
@@ -408,11 +395,11 @@ class ContactSolver:
         if afresh:
             # as Newton's method does: from the least forces of all at rest
             space.modes[:] = STICK
-            solve_cones(delassus, b, np.full(contacts, np.inf), space.address, WARM, 1, np.inf, 0, 1)
-        task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
+            solve_cones(delassus, b, np.full(contacts, np.inf), space.address, WARM, np.inf)
+        task = CLASSIFY + (NEAREST if self.nearest and not afresh else 0)
 
         def finish() -> bool:
-            return self._start(problem, task, PROGRAM_NEWTON_PASSES, self.tolerance) <= self.tolerance
+            return self._start(problem, task, self.tolerance) <= self.tolerance
 
         programs = QUICK_PROGRAMS if self.quick else PROGRAMS
         if self._sequences[contacts].solve(delassus, b, mu, space.forces, warm, finish, programs):

@@ -12,7 +12,7 @@ from ..friction.cone import OPEN, SLIP, STICK
 from ..friction.loads import RADII_TOLERANCE, Loads
 from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
 from ..friction.solve import ContactSolver
-from ..friction.starts import NEAR, WARM_PASSES, solve_cones
+from ..friction.starts import NEAREST, solve_cones
 from ..workspace import Workspace
 from .impulse_layout import APART, IN_VAIN, LOOKED_FOR, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
 from .impulse_problem import OPENING
@@ -206,7 +206,7 @@ class ImpulseSolver:
         solver = self.solver
         solver.warm_start(modes, forces, velocities)
         address = solver.address(problem.n)
-        return float(solve_cones(*problem.cones, address, NEAR, WARM_PASSES, solver.tolerance, 0, 1))
+        return float(solve_cones(*problem.cones, address, NEAREST, solver.tolerance))
 
     # ---------------------------------------------------------------- searches
 

@@ -12,7 +12,7 @@ from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
-from ..friction.starts import AFRESH, NEAR, USUAL, WARM_PASSES
+from ..friction.starts import AFRESH, NEAREST, USUAL
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,
@@ -94,9 +94,7 @@ _AT_END = 1e-12
 
 call_task = kernel_caller(INTEGER, SYSTEM.type, INTEGER, REAL, REAL)
 _call_on_step = kernel_caller(INTEGER, SYSTEM.type, STEP.type)
-_call_cones = kernel_caller(
-    REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, INTEGER, REAL, INTEGER, INTEGER
-)  # fmt: skip
+_call_cones = kernel_caller(REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, REAL)
 
 
 @kernel
@@ -156,7 +154,7 @@ def _begin_anew(step, n, known):
 
 
 @kernel
-def _call(step, n, friction, known, task, passes):
+def _call(step, n, friction, known, task):
     """Solve the assembled problem of n units with these coefficients; the residual."""
     return _call_cones(
         step.calls.solve_cones,
@@ -165,10 +163,7 @@ def _call(step, n, friction, known, task, passes):
         as_array(friction[:n]),
         known,
         task,
-        passes,
         step.numbers.cone_tolerance,
-        0,
-        0,
     )
 
 
@@ -187,7 +182,7 @@ def _solve(step, n):
     if not afresh and (known.counts[cone.KNOWN] == 0 or known.counts[cone.OWNERS] != owners):
         _begin_anew(step, n, known)
     known.counts[cone.OWNERS] = owners
-    residual = _call(step, n, step.friction, known, task, 0)
+    residual = _call(step, n, step.friction, known, task)
     if not residual <= tolerance:
         return False
     counts.solved += 1
@@ -233,9 +228,9 @@ def _stay_otherwise(step, n):
         friction[u] = step.friction[u]
         if unit.held != 0 and unit.kind == ON_CONTACT and step.start_mode[unit.index] == STICK:
             friction[u], known.modes[u], lets_go = math.inf, cone.STICK, True
-    tolerance, task = step.numbers.cone_tolerance, max(step.counts.cone_task, NEAR)
-    holds = lets_go and _call(step, n, friction, known, task, WARM_PASSES) <= tolerance
-    holds = holds and _call(step, n, step.friction, known, task, WARM_PASSES) <= tolerance
+    tolerance, task = step.numbers.cone_tolerance, max(step.counts.cone_task, NEAREST)
+    holds = lets_go and _call(step, n, friction, known, task) <= tolerance
+    holds = holds and _call(step, n, step.friction, known, task) <= tolerance
     for u in range(n if lets_go else 0):
         holds = holds and (friction[u] == step.friction[u] or known.modes[u] == cone.STICK)
     if holds:

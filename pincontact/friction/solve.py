@@ -33,6 +33,7 @@ from .cone import (
     OPEN,
     OWNERS,
     PASSES,
+    RANK_TOLERANCE,
     SLIP,
     STICK,
     TIMES,
@@ -51,7 +52,6 @@ from .starts import (
     NOTHING,
     STRICTNESS,
     USUAL,
-    WARM,
     solve_cones,
 )
 
@@ -394,8 +394,10 @@ class ContactSolver:
         warm = afresh or bool(space.counts[KNOWN])
         if afresh:
             # as Newton's method does: from the least forces of all at rest
-            space.modes[:] = STICK
-            solve_cones(delassus, b, np.full(contacts, np.inf), space.address, WARM, np.inf)
+            trace = delassus.diagonal().reshape(-1, 3).sum(axis=1)
+            scale = np.repeat(np.sqrt(3.0 / np.where(trace > 0.0, trace, 3.0)), 3)
+            operator = scale[:, None] * delassus * scale
+            space.forces[:] = scale * np.linalg.lstsq(operator, -scale * b, rcond=RANK_TOLERANCE)[0]
         task = CLASSIFY + (NEAREST if self.nearest and not afresh else 0)
 
         def finish() -> bool:

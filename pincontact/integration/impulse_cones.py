@@ -229,17 +229,18 @@ class ImpulseSolver:
         return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
 
     def _search_hard(self, problem: _Problem) -> bool:
-        """What the quick searches did not solve: without rebounds; then, with friction that goes with other loads, what
-        has a solution unless bodies are crushed.
+        """What the quick searches did not solve: for forces and loads at once, then without rebounds; then, with friction
+        that goes with other loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
         counts, numbers = self._counts, self._numbers
+        if counts["coupled"] == APART:
+            counts["coupled"] = TOGETHER
+            if self._solve_together(problem):
+                return True
         problem.base[2::3] += numbers["kept"] * problem.units["shift"]
         numbers["kept"] = numbers["kept_low"] = numbers["kept_high"] = 0.0
-        if counts["coupled"] == APART and self.solver.solve(*problem.cones):
-            return True
-        counts["coupled"] = TOGETHER
         return self._solve_together(problem) or self._solve_with_given_radii(problem)
 
     def _loads(self, problem: _Problem) -> Loads:

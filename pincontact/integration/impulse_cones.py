@@ -229,8 +229,8 @@ class ImpulseSolver:
         return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
 
     def _search_hard(self, problem: _Problem) -> bool:
-        """What the quick searches did not solve: for forces and loads at once, then without rebounds; then, with friction
-        that goes with other loads, what has a solution unless bodies are crushed.
+        """What the quick searches did not solve: for forces and loads at once; then without rebounds; then, with
+        friction that goes with other loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """

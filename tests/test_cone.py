@@ -436,8 +436,8 @@ def test_the_same_problem_gives_the_same_bits(stage):
         assert len(results) in (0, 4)
         assert len(set(results)) <= 1
         solved += bool(results)
-    # ProxQP alone does not find all modes.
-    assert solved >= (4 if stage == "qp" else 10)
+    # Gauss-Seidel and ProxQP alone do not find all modes.
+    assert solved >= {"qp": 4, "sweeps": 9}.get(stage, 10)
 
 
 # ---------------------------------------------------------------------------------------------- warm starting

@@ -181,38 +181,44 @@ def fill_unit(system, step, u):
 def keep_within_reach(system, step):
     """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
-    Gaps at the midpoint, and second order, put a little of that into b where contacts move with the bodies that they
-    are on. What drives ask for beyond the range of the Delassus matrix is left: there something has to slip. Tangents
-    of contacts that slide already take no part: they need not come to rest, and what changes their slip does so
-    whatever the impulses.
+    Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
+    in what second order adds to rigid geometry, in the first column of BEYOND. What drives ask for beyond the range of
+    the Delassus matrix is left: there something has to slip. Tangents of contacts that slide already take no part: they
+    need not come to rest, and what changes their slip does so whatever the impulses.
     """
     n = step.counts.units
     units, beyond, start_mode = step.units, step.beyond, step.start_mode
     delassus, b = square(step.delassus, 3 * n), step.loads
     nv, rows, x = system.sizes.nv, system.whitened_rows, system.multipliers
-    count, independent, largest, scale = 0, 0, 0.0, 0.0
-    while count < 3 * n and units[count // 3].kind < ON_JOINT:
-        held = count % 3 == 2 or start_mode[units[count // 3].index] != SLIPPING
-        x[count] = b[count] if held else 0.0
-        largest, scale = max(largest, abs(beyond[count, 0]) if held else 0.0), max(scale, abs(b[count]))
-        if held and delassus[count, count] > 0.0:
-            independent += 1
-        for k in range(nv):
-            rows[count, k] = step.whitened[count, k] if held else 0.0
-        count += 1
-    if largest <= _WITHIN_ROUND_OFF * scale:
+    # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
+    for whole in range(1, -1, -1):
+        count, independent, largest, scale = 0, 0, 0.0, 0.0
+        while count < 3 * n and units[count // 3].kind < ON_JOINT:
+            held = count % 3 == 2 or start_mode[units[count // 3].index] != SLIPPING
+            x[count] = (b[count] if whole == 1 else beyond[count, 0]) if held else 0.0
+            largest, scale = max(largest, abs(beyond[count, 0]) if held else 0.0), max(scale, abs(b[count]))
+            if held and delassus[count, count] > 0.0:
+                independent += 1
+            for k in range(nv):
+                rows[count, k] = step.whitened[count, k] if held else 0.0
+            count += 1
+        if largest <= _WITHIN_ROUND_OFF * scale:
+            return
+        lower, scratch = system.delassus, system.constraint_rows
+        rank = solve_gram(rows, count, nv, lower, system.permutation, x, scratch, RANK_TOLERANCE)
+        if rank == independent:
+            return
+        most = 0.0
+        for r in range(count):
+            held = r % 3 == 2 or start_mode[units[r // 3].index] != SLIPPING
+            wanted = b[r] if whole == 1 else beyond[r, 0]
+            beyond[r, 1] = wanted - inner(delassus[r], x, count) if held else 0.0
+            most = max(most, abs(beyond[r, 1]))
+        if whole == 1 and most > _OUT_OF_REACH * scale:
+            continue
+        for r in range(count):
+            b[r] -= beyond[r, 1]
         return
-    lower, scratch = system.delassus, system.constraint_rows
-    rank = solve_gram(rows, count, nv, lower, system.permutation, x, scratch, RANK_TOLERANCE)
-    if rank == independent:
-        return
-    most = 0.0
-    for r in range(count):
-        held = r % 3 == 2 or start_mode[units[r // 3].index] != SLIPPING
-        beyond[r, 1] = b[r] - inner(delassus[r], x, count) if held else 0.0
-        most = max(most, abs(beyond[r, 1]))
-    for r in range(count if most <= _OUT_OF_REACH * scale else 0):
-        b[r] -= beyond[r, 1]
 
 
 @kernel

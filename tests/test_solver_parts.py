@@ -14,7 +14,7 @@ from test_load_solver import made_problem
 
 from pincontact import linalg
 from pincontact.friction import barrier, cone, solve
-from pincontact.friction.centred import Cone, Cones, central_force
+from pincontact.friction.centred import Cone, central_force
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
@@ -207,9 +207,7 @@ def test_forces_far_from_the_least_are_found(seed):
     rng = np.random.default_rng(seed)
     forces = np.array([10.0 ** rng.uniform(-1.0, 1.0), *rng.normal(size=2), *10.0 ** rng.uniform(-1.5, 0.0, 2)])
     null = np.array([1.0, *rng.normal(size=2), *rng.uniform(0.1, 0.6, 2) * 0.01])
-    cones = Cones()
-    cones.append(Cone(0, 1.0, 0.0))
-    cones.append(Cone(0, 0.01, 0.0, (3, 4)))
+    cones = [Cone(0), Cone(0, 0.01, 0.0, (3, 4))]
 
     def inside(z):
         f = forces + z * null

@@ -18,7 +18,7 @@ from itertools import islice, product
 import numpy as np
 
 from ..linalg import RANK_TOLERANCE
-from .centred import Cones, central_force, null_space
+from .centred import Cone, central_force, null_space
 from .cone import OPEN, SLIP, STICK
 from .least_loads import least_of
 from .loads import TOLERANCE, Loads
@@ -114,7 +114,7 @@ class _Unknowns:
         size = units.base.size
         self.units, self.known = units, np.zeros(size)
         self.rows: list[int] = []
-        self.cones = Cones()
+        self.cones: list[Cone] = []
         self.sticks = self.slides = False
         columns: list[np.ndarray] = []
         scale = 1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1))
@@ -122,6 +122,13 @@ class _Unknowns:
         lengths: list[float] = []
         places: dict[int, int] = {}
         whole = np.eye(size)
+
+        def add(row: int) -> int:
+            columns.append(whole[row].copy())
+            lengths.append(1.0)
+            self.rows.append(row)
+            return len(self.rows) - 1
+
         # those whose normal forces limit others come first
         for u in sorted(range(len(units.modes)), key=lambda u: units.parents[u] != u):
             mode, k, mu, parent = units.modes[u], 3 * u, float(units.friction[u]), int(units.parents[u])
@@ -135,8 +142,7 @@ class _Unknowns:
                 self.slides, self.known[k : k + 2] = True, units.forces[u, :2]
                 continue
             if parent == u:
-                places[u] = self._add(columns, whole[k + 2], k + 2)
-                lengths.append(1.0)
+                places[u] = add(k + 2)
             if mode == SLIP:
                 self.slides = True
                 speed = float(np.hypot(*units.velocities[u, :2]))
@@ -146,28 +152,19 @@ class _Unknowns:
                     columns[places[parent]][k : k + 2] -= mu / speed * units.velocities[u, :2]
                 if parent == u:
                     lengths[places[u]] = math.hypot(1.0, mu)
-                    self.cones.add_contact(places[u], mu)
+                    self.cones.append(Cone(places[u]))
                 continue
-            tangents = []
-            for i in range(2):
-                if units.real[u, i]:
-                    tangents.append(self._add(columns, whole[k + i], k + i))
-                    lengths.append(1.0)
+            tangents = tuple(add(k + i) for i in range(2) if units.real[u, i])
             if not math.isfinite(mu):
                 # of ideal rolling: whatever forces
-                tangents = []
+                tangents = ()
             self.sticks = self.sticks or bool(tangents)
             if parent >= 0:
-                self.cones.add_contact(places[parent], mu, tangents)
+                self.cones.append(Cone(places[parent], mu if tangents else 1.0, 0.0, tangents))
             elif tangents:
-                self.cones.add_friction(tangents, mu * float(units.loads[u]))
+                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tangents))
         self.expand = np.array(columns).T
         self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
-
-    def _add(self, columns: list[np.ndarray], column: np.ndarray, row: int) -> int:
-        columns.append(column.copy())
-        self.rows.append(row)
-        return len(self.rows) - 1
 
     def solve(self, only: bool = False) -> bool:
         """Find the least forces of all; False where there are none, or they are the only ones and not asked for."""

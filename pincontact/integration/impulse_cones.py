@@ -64,7 +64,6 @@ class ImpulseSolver:
     def __init__(self, arrays: Workspace) -> None:
         self.solver = ContactSolver(quick=True)
         self._arrays, self._counts, self._numbers = arrays, arrays.counts, arrays.numbers
-        self._problems: dict[int, _Problem] = {}
         self._numbers["cone_tolerance"], self._counts["cone_task"] = self.solver.tolerance, self.solver.task
 
     def choose(self, contact_solver: str) -> None:
@@ -77,10 +76,6 @@ class ImpulseSolver:
         self.left = self.settled = 0
         self.settled_off = 0.0
         self._share_tables()
-
-    def kept(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]:
-        """Copies of the warm starts, for `restore`."""
-        return self.solver.warm_starts()
 
     def restore(self, kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]) -> None:
         """Take the warm starts of another solver."""
@@ -100,18 +95,10 @@ class ImpulseSolver:
 
     def solve(self) -> bool:
         """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""
-        n, counts, solver = self._counts["units"].item(), self._counts, self.solver
-        problem = self._problems.get(n)
-        if problem is None:
-            arrays = self._arrays
-            problem = self._problems[n] = _Problem(
-                n,
-                arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n),
-                arrays.loads[: 3 * n],
-                arrays.friction[:n],
-                arrays.units[:n],
-                arrays.whitened[: 3 * n],
-            )
+        arrays, n, counts, solver = self._arrays, self._counts["units"].item(), self._counts, self.solver
+        gram, rows = arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n), slice(3 * n)
+        friction, units = arrays.friction[:n], arrays.units[:n]
+        problem = _Problem(n, gram, arrays.loads[rows], friction, units, arrays.whitened[rows])
         if counts["holding"] == WANTED:
             counts["holding"] = LOOKED_FOR if self._hold(problem) else IN_VAIN
         elif counts["choosing"]:
@@ -121,8 +108,7 @@ class ImpulseSolver:
             if not (self._search(problem) or (counts["thorough"] and self._search_hard(problem))):
                 return False
             self._numbers["cone_residual"] = max(self._numbers["cone_residual"], solver.residual)
-        arrays = self._arrays
-        arrays.cone_forces[: 3 * n], arrays.cone_velocities[: 3 * n] = solver.forces, solver.velocities
+        arrays.cone_forces[rows], arrays.cone_velocities[rows] = solver.forces, solver.velocities
         arrays.cone_modes[:n] = solver.modes
         return True
 
@@ -147,8 +133,8 @@ class ImpulseSolver:
         parents, units = problem.units["parent"], problem.units
         turns = (units["kind"] == ON_TURN) & (parents >= 0) & held[parents]
         turns &= ~self._turning(problem) | (units["touches"][parents] != 0)
-        for sticks in (rests, rests | turns, rests | opened | turns):
-            modes = np.where(sticks, STICK, before[0])
+        tries = (np.where(sticks, STICK, before[0]) for sticks in (rests, rests | turns, rests | opened | turns))
+        for modes in {modes.tobytes(): modes for modes in tries}.values():
             if self._holds(problem, modes, before, held):
                 return True
         solver.warm_start(*before)

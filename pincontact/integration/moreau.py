@@ -513,7 +513,7 @@ class MoreauStep:
             },
             "system": {name: getattr(system, name).copy() for name in _OF_SYSTEM},
             "charts": system.side_int[:, CHART].copy(),
-            "warm_starts": self.cones.kept(),
+            "warm_starts": self.cones.solver.warm_starts(),
         }
 
     def restore(self, kept: dict[str, Any]) -> None:

@@ -154,15 +154,15 @@ class _Unknowns:
                     lengths[places[u]] = math.hypot(1.0, mu)
                     self.cones.append(Cone(places[u]))
                 continue
-            tangents = tuple(add(k + i) for i in range(2) if units.real[u, i])
+            tangents = [add(k + i) for i in range(2) if units.real[u, i]]
             if not math.isfinite(mu):
                 # of ideal rolling: whatever forces
-                tangents = ()
+                tangents = []
             self.sticks = self.sticks or bool(tangents)
             if parent >= 0:
-                self.cones.append(Cone(places[parent], mu if tangents else 1.0, 0.0, tangents))
+                self.cones.append(Cone(places[parent], mu if tangents else 1.0, 0.0, tuple(tangents)))
             elif tangents:
-                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tangents))
+                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tuple(tangents)))
         self.expand = np.array(columns).T
         self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
 

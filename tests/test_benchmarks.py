@@ -281,7 +281,7 @@ def test_programs_take_no_help_from_other_stages():
     for _, _, problem in cone.random_problems(10, 0):
         solver.forget()
         assert solver.solve(*problem)
-    assert solver.decided == {"warm": 0, "exact": 0, "qp": 10}
+    assert {name: count for name, count in solver.decided.items() if count} == {"qp": 10}
 
 
 def test_cost_of_robots(monkeypatch, capsys):

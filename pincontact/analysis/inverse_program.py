@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InfeasibleError, SolverError
-from ..friction.centred import Cones, central_force
+from ..friction.centred import Cone, central_force
 from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..layout import TANGENTS, UNILATERAL
 from .actuation import Actuation, read_actuation
@@ -242,11 +242,8 @@ class InverseProgram:
             values = np.concatenate([region.apexes.ravel(), *_distances(region, None)])
             slopes = np.vstack([region.cones.reshape(-1, free.shape[1]), *_distances(region, free)])
             count = 3 * len(region.cones)
-            cones = Cones()
-            for i in range(0, count, 3):
-                cones.add_contact(i, 1.0, (i + 1, i + 2))
-            for i in range(count, values.size):
-                cones.add_contact(i, 1.0)
+            cones = [Cone(i, tangents=(i + 1, i + 2)) for i in range(0, count, 3)]
+            cones += [Cone(i) for i in range(count, values.size)]
             found = central_force(values, slopes, cones)
             if found is not None:
                 return point + free @ np.linalg.lstsq(slopes, found.forces - values, rcond=None)[0]

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..friction.choices import Units, holding_loads
 from ..friction.cone import SLIP, STICK
-from ..friction.loads import LARGE_FRICTION, TOLERANCE, LoadSolver
+from ..friction.loads import TOLERANCE, LoadSolver
 from ..friction.solve import ContactSolver
 from ..layout import (
     CURVE_SPEED,
@@ -35,10 +35,6 @@ from .units import ContactProblem, relative_velocity, unwhiten, whitened_velocit
 if TYPE_CHECKING:
     from .system import System
 
-# Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
-_LARGE_FRICTION = (LARGE_FRICTION, 1e2)
-# How often radii of friction are taken from the last loads, where nothing else finds forces.
-_ROUNDS = 5
 # What accelerates, as a part of the slip, where an impact without collision is looked for: solvers know velocities to a
 # hundredth of that.
 _AHEAD = 1e-8
@@ -162,7 +158,6 @@ class _Problem(ContactProblem):
         self.driven = any(
             system.side_int.item(i, MOTION_KIND) or system.side_int.item(i, TIME_DEPENDENT) for i in sides
         )
-        self.posed = None if self.is_cone else self.loads()
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
         """y with `kept` of the restitution, or None."""
@@ -183,27 +178,23 @@ class _Problem(ContactProblem):
 
     def _search(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
         """Modes (n,) of a solution, whose impulses are `forces` then, or None."""
-        if self.posed is None:
-            if not self._solve_cones(solver, b, mu):
-                return None
+        if self.is_cone and solver.solve(self.gram, b, mu, afresh=self.near is None):
             self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
             return solver.modes
-        loads, start = replace(self.posed, base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
+        loads, start = replace(self.loads(), base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
         self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             self.forces, residual = loads.solve(start)
-        for _ in range(_ROUNDS):
-            if residual <= TOLERANCE:
-                break
-            # with radii that are given it is a cone problem, and its loads tell others
-            gram, base, limits = self.cone_problem(b, loads.radii(start))
-            if not solver.solve(gram, base, np.where(self.normal > 0.0, loads.coefficients, limits), afresh=True):
-                break
-            start = np.where(self.weights > 0.0, 0.0, solver.forces)
-            self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             found = LoadSolver()
-            if found.solve(loads, start, lambda speed: None):
+
+            def guess(speed: float) -> np.ndarray | None:
+                """With radii that are given it is a cone problem, whose loads tell others."""
+                gram, base, limits = self.cone_problem(b, loads.radii(start))
+                posed = gram, base, np.where(self.normal > 0.0, loads.coefficients, limits)
+                return np.where(self.weights > 0.0, 0.0, solver.forces) if solver.solve(*posed, afresh=True) else None
+
+            if found.solve(loads, start, guess):
                 self.forces, residual = loads.refine(found.forces)
         return loads.modes(self.forces) if residual <= TOLERANCE else None
 
@@ -231,13 +222,6 @@ class _Problem(ContactProblem):
                 self.forces = found[0]
                 return coupled.modes(self.forces)
         return modes
-
-    def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
-        ideal = np.isinf(mu)
-        return solver.solve(self.gram, b, mu, afresh=self.near is None) or (
-            bool(ideal.any())
-            and any(solver.solve(self.gram, b, np.where(ideal, large, mu), afresh=True) for large in _LARGE_FRICTION)
-        )
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:
         """Work of the contacts' and of the joints' impulses, and the sum of the sizes of all terms."""

@@ -15,7 +15,7 @@ from ..jit import INTEGER, REAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS, UNILATERAL
 from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
 from .directions import freeze_slip
-from .units import mass_norm, root_of_squares
+from .units import whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -72,7 +72,7 @@ class PassingSlip:
         contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
         if not contacts or count == 0:
             return None
-        speed = mass_norm(system.factor, system.v)
+        speed = float(np.linalg.norm(whitened_velocity(system, system.v)))
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
@@ -118,26 +118,29 @@ class PassingSlip:
         moving = (lengths > 0.0) & np.isfinite(lengths)
         return index[moving, 0], index[moving, 1], whitened[moving] / lengths[moving, None], lengths[moving]
 
+    def _speed(self, v: np.ndarray) -> float:
+        """The size of a velocity in the mass metric of the last evaluation, in which half a square is an energy."""
+        return float(np.linalg.norm(whitened_velocity(self.system, v)))
+
     def negligible(self) -> float:
         """What constraints may take from the velocity, in the mass metric of the last evaluation."""
-        return self._negligible(mass_norm(self.system.factor, self.system.v))
+        return self._negligible(self._speed(self.system.v))
 
     def _negligible(self, speed: float) -> float:
         rtol, atol = self.system.scale.tolist()
-        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * root_of_squares(self.system.factor))
+        return float(max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * np.linalg.norm(self.system.factor)))
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
         """How far the velocity is from what it was, how large that was, and how far it may be at most: in the mass
-        metric of the last evaluation, in which half a square is an energy."""
-        system = self.system
-        speed = mass_norm(system.factor, before)
-        return mass_norm(system.factor, system.v - before), speed, self._negligible(speed)
+        metric of the last evaluation."""
+        speed = self._speed(before)
+        return self._speed(self.system.v - before), speed, self._negligible(speed)
 
     def explained(self, speed: float) -> float:
         """How far a velocity of this size may be from what it was for errors of steps to explain it, where slips have
         ended: what counts as ended is so far from zero."""
         rtol, atol = self.system.scale.tolist()
-        return EXPLAINED * (rtol * speed + atol * root_of_squares(self.system.factor))
+        return float(EXPLAINED * (rtol * speed + atol * np.linalg.norm(self.system.factor)))
 
 
 _MATRIX = REAL[:, ::1]

@@ -16,12 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from ..arrays import array_entry
 from ..friction.loads import Loads
 from ..geometry.patterns import ON_CURVE
-from ..jit import REAL
 from ..layout import ANISOTROPIC, PATTERN, TANGENTS, UNILATERAL
-from ..linalg import inner
 from .friction_scaling import friction_scaling
 
 if TYPE_CHECKING:
@@ -56,35 +53,9 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
-    """(nv,) L v, half of whose square is the kinetic energy of v. BLAS's own for triangles starts threads, too."""
-    out = np.empty(system.nv)
-    multiply_lower(system.factor, v, out)
-    return out
-
-
-@array_entry(REAL[:, ::1], REAL[::1])
-def mass_norm(factor, v):
-    """|L v|, with M = L^T L: the root of twice the kinetic energy of v (nv,)."""
-    total = 0.0
-    for i in range(v.shape[0]):
-        total += inner(factor[i], v, i + 1) ** 2
-    return math.sqrt(total)
-
-
-@array_entry(REAL[:, ::1])
-def root_of_squares(matrix):
-    """Frobenius norm."""
-    total = 0.0
-    for i in range(matrix.shape[0]):
-        total += inner(matrix[i], matrix[i], matrix.shape[1])
-    return math.sqrt(total)
-
-
-@array_entry(REAL[:, ::1], REAL[::1], REAL[::1])
-def multiply_lower(lower, x, out):
-    """out = the lower triangle of a matrix (n, n) times x (n,)."""
-    for i in range(x.shape[0]):
-        out[i] = inner(lower[i], x, i + 1)
+    """(nv,) L v, half of whose square is the kinetic energy of v. Above its diagonal the factor is zero."""
+    whitened: np.ndarray = system.factor @ v
+    return whitened
 
 
 class ContactProblem:

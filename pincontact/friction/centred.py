@@ -13,8 +13,6 @@ along the tangent leaves about the square of what the last left; a constant one 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -35,28 +33,9 @@ class Cone(NamedTuple):
     """factor x[normal] + offset >= |x[tangents]|, of forces x; or >= 0, where there are no tangents."""
 
     normal: int
-    factor: float
-    offset: float
+    factor: float = 1.0
+    offset: float = 0.0
     tangents: tuple[int, ...] = ()
-
-
-class Cones(list[Cone]):
-    """The cones in which redundant forces are chosen, of runs and of time steps."""
-
-    def add_contact(self, normal: int, mu: float, tangents: Sequence[int] = ()) -> None:
-        """mu times the normal force is no less than the friction; without tangents the normal force no less than 0."""
-        self.append(Cone(normal, mu, 0.0, tuple(tangents)) if tangents else Cone(normal, 1.0, 0.0))
-
-    def add_range(self, row: int, low: float, high: float) -> None:
-        """A force between two bounds, which may be infinite."""
-        self += [Cone(row, sign, size) for sign, size in ((1.0, -low), (-1.0, high)) if size < math.inf]
-
-    def add_friction(self, tangents: Sequence[int], limit: float) -> None:
-        """Friction of one or two components up to a limit."""
-        if len(tangents) == 1:
-            self.add_range(tangents[0], -limit, limit)
-        else:
-            self.append(Cone(0, 0.0, limit, tuple(tangents)))
 
 
 class Choice(NamedTuple):
@@ -158,9 +137,8 @@ def centred_forces(
     stuck = np.flatnonzero((speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))) & (friction > 0.0))
     rows = (3 * stuck[:, None] + np.arange(3)).ravel()
     values, vectors = np.linalg.eigh(matrix[np.ix_(rows, rows)])
-    cones = Cones()
-    for i, c in enumerate(stuck):
-        cones.add_contact(3 * i + 2, min(float(friction[c]), LARGEST_FRICTION), (3 * i, 3 * i + 1))
+    limits = np.minimum(friction[stuck], LARGEST_FRICTION).tolist()
+    cones = [Cone(3 * i + 2, mu, tangents=(3 * i, 3 * i + 1)) for i, mu in enumerate(limits)]
     null = null_space(vectors * np.sqrt(np.maximum(values, 0.0)))
     found = central_force(solution.forces[stuck].ravel(), null, cones)
     if found is None:

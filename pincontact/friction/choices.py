@@ -18,17 +18,13 @@ from itertools import islice, product
 import numpy as np
 
 from ..linalg import RANK_TOLERANCE
-from .centred import Cones, central_force, null_space
+from .centred import Cone, central_force, null_space
 from .cone import OPEN, SLIP, STICK
 from .least_loads import least_of
 from .loads import TOLERANCE, Loads
 
 # What may be left of the largest b where the equations contradict each other by no more than round-off.
 _LEFT = 1e-9
-# Loads as negative as this part of the largest are none.
-_NONE = 1e-12
-# How often a motion that no forces could stop is moved into all dual cones, and by how much further than is needed.
-_TRIES, _FURTHER = 30, 1.002
 # Of loads that may go either way so many choices are tried.
 _SIGNS_TRIED = 16
 
@@ -39,8 +35,7 @@ class Units:
 
     gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
     are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;
-    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3). symmetric: whether gram
-    is.
+    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3).
     """
 
     gram: np.ndarray
@@ -53,7 +48,6 @@ class Units:
     modes: np.ndarray
     forces: np.ndarray
     velocities: np.ndarray
-    symmetric: bool = True
 
     def with_loads(self, of: np.ndarray, base: np.ndarray, rows: np.ndarray) -> Units:
         """The problem in which the loads of these k units, which it takes as given, are unknown: base (k,) + rows (k,
@@ -65,7 +59,7 @@ class Units:
         b[k] = -weights * base
         real[of, 2], parents[of] = True, of
         directions = np.hstack([self.directions, gram[k].T])
-        return replace(self, gram=gram, base=b, directions=directions, real=real, parents=parents, symmetric=False)
+        return replace(self, gram=gram, base=b, directions=directions, real=real, parents=parents)
 
 
 def holding_forces(units: Units, only: bool = False) -> np.ndarray | None:
@@ -74,9 +68,7 @@ def holding_forces(units: Units, only: bool = False) -> np.ndarray | None:
     unknowns = _Unknowns(units)
     if not unknowns.solve(only):
         return None
-    if unknowns.null.shape[1] == 0:
-        return unknowns.whole()
-    return None if unknowns.moves_on() else unknowns.central()
+    return unknowns.central() if unknowns.null.shape[1] else unknowns.whole()
 
 
 def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -122,9 +114,7 @@ class _Unknowns:
         size = units.base.size
         self.units, self.known = units, np.zeros(size)
         self.rows: list[int] = []
-        self.cones = Cones()
-        # tangents of ideal rolling: whatever forces
-        self.free: list[int] = []
+        self.cones: list[Cone] = []
         self.sticks = self.slides = False
         columns: list[np.ndarray] = []
         scale = 1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1))
@@ -132,6 +122,13 @@ class _Unknowns:
         lengths: list[float] = []
         places: dict[int, int] = {}
         whole = np.eye(size)
+
+        def add(row: int) -> int:
+            columns.append(whole[row].copy())
+            lengths.append(1.0)
+            self.rows.append(row)
+            return len(self.rows) - 1
+
         # those whose normal forces limit others come first
         for u in sorted(range(len(units.modes)), key=lambda u: units.parents[u] != u):
             mode, k, mu, parent = units.modes[u], 3 * u, float(units.friction[u]), int(units.parents[u])
@@ -145,8 +142,7 @@ class _Unknowns:
                 self.slides, self.known[k : k + 2] = True, units.forces[u, :2]
                 continue
             if parent == u:
-                places[u] = self._add(columns, whole[k + 2], k + 2)
-                lengths.append(1.0)
+                places[u] = add(k + 2)
             if mode == SLIP:
                 self.slides = True
                 speed = float(np.hypot(*units.velocities[u, :2]))
@@ -156,28 +152,19 @@ class _Unknowns:
                     columns[places[parent]][k : k + 2] -= mu / speed * units.velocities[u, :2]
                 if parent == u:
                     lengths[places[u]] = math.hypot(1.0, mu)
-                    self.cones.add_contact(places[u], mu)
+                    self.cones.append(Cone(places[u]))
                 continue
-            tangents = []
-            for i in range(2):
-                if units.real[u, i]:
-                    tangents.append(self._add(columns, whole[k + i], k + i))
-                    lengths.append(1.0)
+            tangents = [add(k + i) for i in range(2) if units.real[u, i]]
             if not math.isfinite(mu):
-                self.free += tangents
+                # of ideal rolling: whatever forces
                 tangents = []
             self.sticks = self.sticks or bool(tangents)
             if parent >= 0:
-                self.cones.add_contact(places[parent], mu, tangents)
+                self.cones.append(Cone(places[parent], mu if tangents else 1.0, 0.0, tuple(tangents)))
             elif tangents:
-                self.cones.add_friction(tangents, mu * float(units.loads[u]))
+                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tuple(tangents)))
         self.expand = np.array(columns).T
         self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
-
-    def _add(self, columns: list[np.ndarray], column: np.ndarray, row: int) -> int:
-        columns.append(column.copy())
-        self.rows.append(row)
-        return len(self.rows) - 1
 
     def solve(self, only: bool = False) -> bool:
         """Find the least forces of all; False where there are none, or they are the only ones and not asked for."""
@@ -205,37 +192,6 @@ class _Unknowns:
             cone.factor * forces[cone.normal] + cone.offset >= np.linalg.norm(forces[list(cone.tangents)])
             for cone in self.cones
         )
-
-    def moves_on(self) -> bool:
-        """Whether no forces inside the cones hold, by a motion that proves it (Farkas): all such forces would do work
-        of one sign on it, and those that are needed do work of the other. Cheap, and mostly found at once near to how
-        the bodies slip; False may mean anything."""
-        if not self.units.symmetric or any(cone.offset != 0.0 for cone in self.cones):
-            return False
-        unit = self.unit
-        w = unit * self.units.velocities.ravel()[self.rows]
-        # what resists turning has another unit than its load
-        held = [
-            (cone.normal, list(cone.tangents), cone.factor * unit[cone.normal] / unit[[*cone.tangents, cone.normal][0]])
-            for cone in self.cones
-        ]
-        for _ in range(_TRIES):
-            for normal, tangents, factor in held:
-                # into the dual cone, the normal part alone: it lifts what slides
-                length = math.sqrt(sum(w[t] ** 2 for t in tangents))
-                w[normal] = max(w[normal], _FURTHER * factor * length if tangents else 0.0)
-            w[self.free] = 0.0
-            w -= self.null @ (self.null.T @ w)
-            size = float(np.abs(w).max())
-            if not size > 0.0:
-                return False
-            inside = all(
-                w[normal] >= (factor * math.sqrt(sum(w[t] ** 2 for t in tangents)) if tangents else -_NONE * size)
-                for normal, tangents, factor in held
-            )
-            if inside and np.abs(w[self.free]).max(initial=0.0) <= _NONE * size:
-                return bool(w @ self.x < 0.0)
-        return False
 
     def central(self) -> np.ndarray | None:
         """(3n,) forces in the middle of what the cones admit: of those that move nothing, else of all that the

@@ -58,10 +58,9 @@ ESCAPED = 1e6
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
-# last problem; how often there was something to begin from; in how many directions the last solution's forces may
-# change, and whether they depend on those that it was begun from; whether all states of a single contact were tried;
-# how often each of the deciders did.
-PASSES, KNOWN, OWNERS, DECIDED, TRIED, CHOICES, FOLLOWS, SEARCHED, TIMES = range(9)
+# last problem; in how many directions the last solution's forces may change, and whether they depend on those that it
+# was begun from; whether all states of a single contact were tried; how often each of the deciders did.
+PASSES, KNOWN, OWNERS, DECIDED, CHOICES, FOLLOWS, SEARCHED, TIMES = range(8)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
 BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1

@@ -52,8 +52,8 @@ _INFINITE = 1e16
 _GROWING = tuple(2.0**k for k in range(14))
 # Normal forces whose choices of loaded ones are all tried, without and with discs.
 _TRIED, _TRIED_WITH_DISCS = 10, 6
-# Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
-_SPEEDS = (1e3, 1e6)
+# Velocity of what slides, in units of the largest acceleration without forces, in the symmetric problem.
+_SPEED = 1e3
 # Gauss-Seidel passes before every try of Newton's method; with given radii, which need no more than patience.
 _PASSES, _PASSES_WITH_RADII = (20, 100, 500, 2500), (100, 1000, 5000)
 # In how many parts friction is let grow where Gauss-Seidel comes to nothing.
@@ -233,10 +233,9 @@ class LoadSolver:
         present = scaled.unknowns(forces)
         if not self.guess_first:
             yield present, None, False
-        for speed in _SPEEDS:
-            found = guess(speed * scaled.largest)
-            if found is not None:
-                yield scaled.unknowns(found), None, False
+        found = guess(_SPEED * scaled.largest)
+        if found is not None:
+            yield scaled.unknowns(found), None, False
         if self.guess_first:
             self.unguessed += 1
             yield present, None, False
@@ -254,7 +253,6 @@ class LoadSolver:
         if scaled.discs:
             yield scaled.unknowns(problem.solve(np.nan_to_num(forces))[0]), None, False
             yield present, None, True
-            yield np.zeros(present.size), None, True
 
 
 def _grown(problem: Loads, forces: np.ndarray) -> np.ndarray:

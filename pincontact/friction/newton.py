@@ -293,11 +293,11 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
     passes used, starts tried, in how many directions forces may change, and whether these depend on those begun from.
 
     Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
-    ones given. near > 0: these are a solution of a similar problem, whose redundant modes are tried first. They are
-    given the forces nearest to them that lie inside the cones, where those of least norm do not (2), or at once (1).
+    ones given. near: these are a solution of a similar problem, whose redundant modes are tried first, with the forces
+    nearest to them that lie inside the cones, where those of least norm do not.
     One contact is solved exactly: if the start given does not lead to a solution, every other one that there can be is
     tried until the residual is below the tolerance: open, stick, and slip along each of `slip_angles`.
-    touching (n,): see `close_touching`, of use if near > 0; rank: see `newton_step`.
+    touching (n,): see `close_touching`, of use if near; rank: see `newton_step`.
     """
     size, direction, length, speed = cone.size, cone.direction, cone.length, cone.speed
     sine, cosine, start, start_modes = cone.sine, cone.cosine, cone.start, cone.start_modes
@@ -326,11 +326,11 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             f[0] = -sine[0] * force * d1
             f[1] = -sine[0] * force * d2
             f[2] = cosine[0] * force
-        closed = near > 0 and close_touching(mu, modes, touching)
+        closed = near and close_touching(mu, modes, touching)
         slipping = False
         for i in range(n):
             slipping = slipping or modes[i] == SLIP
-        given = refine = tried == 1 or near == 1
+        given = refine = tried == 1
         if slipping or refine:
             respond(g, c, f, u, size, cone.x)
         start_slips(cone, mu, modes, f, u)
@@ -342,11 +342,11 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         turned, last_turn = 0.0, HUGE
         for k in range(passes):
             before = residual
-            open_directions, moved, turn = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
+            open_directions, moved, turn = newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank)
             follows = (follows and refine) or moved
-            if near > 0 and open_directions == 0:
+            if near and open_directions == 0:
                 # nothing to choose
-                near = 0
+                near = False
                 again = closed
                 if again:
                     break
@@ -366,18 +366,17 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             follows = follows or changes > 0
             if changes == 0 and stalled and residual <= tolerance:
                 return residual, k + 1, tried, open_directions, follows
-            if tried == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
+            if tried == 0 and changes > 0 and open_directions > 0 and not (near and residual <= tolerance):
                 again = True
                 break
             if changes == 0 and stalled:
                 break
-            refine = given or (not stale and (near > 0 or (changes == 0 and residual < REFINEMENT)))
+            refine = given or (not stale and (near or (changes == 0 and residual < REFINEMENT)))
         if residual <= tolerance:
             return residual, passes, tried, open_directions, follows
-        if near > 0 or closed:
-            # what slips turns as its forces change: once more from the ones given; then from the modes alone
-            near = 1 if near == 2 and slipping else 0
-            again = True
+        if near or closed:
+            # from the modes alone
+            near, again = False, True
             continue
         tried += 1
         if n > 1 and not again:

@@ -6,9 +6,8 @@ natural map (`cone`) accepts or refuses them. The suggestions come from, cheapes
     warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
     sweeps  projected Gauss-Seidel: a few passes over the last forces, and more if these do not do; redundant forces as
             before
-    path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound; once more, with
-            a trace of compliance, where all has failed
-    qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
+    path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound
+    qp      a sequence of ProxQP programs (`proxqp`), before all others, where the caller asks for it
 
 The first two are one call of compiled code (`starts`), which other kernels can make, too. A single contact needs no
 search: all of its states can be tried (`exact`). The same problem and warm start give the same bits.
@@ -34,10 +33,10 @@ from .cone import (
     OPEN,
     OWNERS,
     PASSES,
+    RANK_TOLERANCE,
     SLIP,
     STICK,
     TIMES,
-    TRIED,
     UNDECIDED,
     cone_workspace,
 )
@@ -48,25 +47,16 @@ from .proxqp import PROGRAMS, ConePrograms
 from .starts import (
     AFRESH,
     CLASSIFY,
-    CLASSIFY_NEAR,
     GAUSS_SEIDEL,
-    GAUSS_SEIDEL_NEWTON_PASSES,
-    GAUSS_SEIDEL_PASSES,
-    GAUSS_SEIDEL_ROUNDS,
-    NEAR,
     NEAREST,
-    PASSES_PER_CONTACT,
+    NOTHING,
     STRICTNESS,
     USUAL,
-    WARM,
-    WARM_PASSES,
     solve_cones,
 )
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
-# Newton passes from a point of the homotopy's path: near a solution three do, elsewhere none.
-HOMOTOPY_NEWTON_PASSES = 6
 # Values of t at which the path's forces are tried.
 HOMOTOPY_STOPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-11, 1e-13)
 # Width of the tube round the path, and size of b against the path's beginning, in the order they are tried.
@@ -80,13 +70,9 @@ ESCAPES = 2
 # Steps to a stop; a stop takes ten as a rule.
 HOMOTOPY_STEPS = 500
 QUICK_HOMOTOPY_STEPS = 20
-# Compliances, relative to a contact's own, with which the path is tried again where all else has failed.
-COMPLIANCES = (1e-12, 1e-13, 1e-11)
-# Newton passes from a program's forces.
-PROGRAM_NEWTON_PASSES = 8
 # Programs per beginning where the search is to be quick: 99 problems in 100 need no more.
 QUICK_PROGRAMS = 10
-STAGES = ("sweeps", "path", "qp")
+STAGES = ("sweeps", "path")
 CONTACT_SOLVERS = ("auto", "proxqp")
 # Delassus matrix, b and mu.
 _Problem = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -159,14 +145,14 @@ class ContactSolver:
 
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
-    quick:     gives up early: one path is followed, with few steps, and ProxQP not at all
+    quick:     gives up early: one path is followed, with few steps
     nearest:   redundant forces may be the ones nearest to the last, or to what Gauss-Seidel has found, where those of
                least norm leave their cones; else other modes are looked for, and what slides has loads that do not
                depend on the past
 
     contact_solver: see `choose`
 
-    Counters: polish_count (warm starts tried), homotopy_count (paths begun), program_counts, and decided (by stage).
+    Counters: program_counts, and decided (by stage).
     Kernels call `starts.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
@@ -180,9 +166,6 @@ class ContactSolver:
         nearest: bool = True,
         contact_solver: str = "auto",
     ):
-        unknown = set(stages) - set(STAGES)
-        if unknown:
-            raise ArgumentError(f"stages are among {STAGES}, got {sorted(unknown)}")
         self.tolerance = tolerance
         self.stages = stages
         self.quick = quick
@@ -191,7 +174,6 @@ class ContactSolver:
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
-        self.homotopy_count = 0
         self._qp_before = 0
         # by the number of contacts
         self._spaces: dict[int, Workspace] = {}
@@ -202,11 +184,9 @@ class ContactSolver:
         """Solve what follows in the order of the stages ("auto"), or by ProxQP programs before them ("proxqp")."""
         check_contact_solver(contact_solver)
         self.programs_first = contact_solver == "proxqp"
-        others = [stage for stage in self.stages if stage != "qp"]
-        self._order = ["qp", *others] if self.programs_first else list(self.stages)
         # what the kernel does, nothing where programs are first; the other stages are seen to here
         usual = USUAL + (NEAREST if self.nearest else 0) + (GAUSS_SEIDEL if self.stages[:1] == ("sweeps",) else 0)
-        self.task = WARM if self.programs_first else usual
+        self.task = NOTHING if self.programs_first else usual
 
     @property
     def iterations(self) -> int:
@@ -223,12 +203,7 @@ class ContactSolver:
     def decided(self) -> dict[str, int]:
         """How many problems were decided by what."""
         total = map(sum, zip(*(space.counts[TIMES:].tolist() for space in self._spaces.values())))
-        return {name: count for name, count in zip(DECIDERS, total) if name in ("warm", "exact", *self._order)}
-
-    @property
-    def polish_count(self) -> int:
-        """How many warm starts were tried, those of single contacts from nothing included."""
-        return sum(int(space.counts[TRIED]) for space in self._spaces.values())
+        return dict(zip(DECIDERS, total))
 
     @property
     def program_counts(self) -> dict[str, int]:
@@ -303,7 +278,7 @@ class ContactSolver:
         """Be as new, with the buffers that there are."""
         self.forget()
         self.residual, self.jammed, self.certificate = 0.0, False, None
-        self.homotopy_count = self._qp_before = 0
+        self._qp_before = 0
         for programs in self._sequences.values():
             programs.renew()
         for space in self._spaces.values():
@@ -318,48 +293,36 @@ class ContactSolver:
         """
         space = self._workspace(mu.shape[0])
         task = USUAL + AFRESH if afresh and not self.programs_first else self.task
-        self.residual = residual = solve_cones(delassus, b, mu, space.address, task, 0, self.tolerance, 0, 0)
+        self.residual = residual = solve_cones(delassus, b, mu, space.address, task, self.tolerance)
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
         """The solvers beyond the kernel's, one after the other: what `solve` does where its starts have failed.
 
         Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
-        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of
-        contacts; afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no
-        certificate proves that there are none.
-        Only then are results taken that are within the tolerance, but not as good as a start aims at, and, last of all,
-        contacts given a trace of compliance.
+        homotopy; programs of ProxQP before these where they are chosen. Gauss-Seidel depends on the order of contacts;
+        afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no certificate
+        proves that there are none.
         """
         space = self._workspace(mu.shape[0])
         problem = delassus, b, mu
         self._qp_before = self.qp_count
         self.certificate, self.jammed = None, False
-        tried_already = bool(self.task & GAUSS_SEIDEL) and not afresh
-        self.residual = reached = float(space.reached[0]) if tried_already else np.inf
-        for stage in sorted(self._order, key="sweeps".__eq__) if afresh else self._order:
+        tried_already = self.task != NOTHING and bool(self.task & GAUSS_SEIDEL) and not afresh
+        self.residual = float(space.reached[0]) if tried_already else np.inf
+        stages = sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages
+        for stage in ("qp", *stages) if self.programs_first else stages:
             if stage == "sweeps":
-                if tried_already:
-                    continue
-                solved = self._gauss_seidel(problem, STRICTNESS * self.tolerance)
-                reached = self.residual
+                solved = not tried_already and self._gauss_seidel(problem)
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
-            elif stage == "path":
-                solved = self._homotopy(problem)
             else:
-                solved = self._programs(problem, afresh)
+                solved = self._homotopy(problem) if stage == "path" else self._programs(problem, afresh)
             if solved:
                 self._decide(stage)
                 return True
             if self.jammed and not (afresh and self.certificate is None):
-                break
-        if "sweeps" in self.stages and reached <= self.tolerance and self._gauss_seidel(problem, self.tolerance):
-            self._decide("sweeps")
-            return True
-        if "path" in self.stages and not (self.quick or self.jammed) and self._compliant_homotopy(problem):
-            self._decide("path")
-            return True
+                return False
         return False
 
     def _decide(self, stage: str) -> None:
@@ -368,57 +331,49 @@ class ContactSolver:
         counts[KNOWN], counts[DECIDED] = 1, code
         counts[TIMES + code] += 1
 
-    def _start(
-        self, problem: _Problem, task: int, passes: int, tolerance: float, relaxations: int = 0, rounds: int = 1
-    ) -> bool:
-        """Start from what the workspace holds, see `solve_cones`; True if accepted."""
-        address = self._space.address
-        self.residual = solve_cones(*problem, address, task, passes, tolerance, relaxations, rounds)
-        return self.residual <= tolerance
+    def _start(self, problem: _Problem, task: int, tolerance: float) -> float:
+        """Start from what the workspace holds, see `solve_cones`; the residual, of which the least is kept."""
+        found: float = solve_cones(*problem, self._space.address, task, tolerance)
+        self.residual = found if found <= tolerance else min(found, self.residual)
+        return found
 
-    def _gauss_seidel(self, problem: _Problem, tolerance: float) -> bool:
+    def _gauss_seidel(self, problem: _Problem) -> bool:
         """Modes from projected Gauss-Seidel, from the last forces if there are any."""
-        space = self._space
+        space, tolerance = self._space, STRICTNESS * self.tolerance
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
-        relaxations = GAUSS_SEIDEL_PASSES + PASSES_PER_CONTACT * space.modes.size
-        task = CLASSIFY_NEAR if self.nearest else CLASSIFY
-        return self._start(problem, task, GAUSS_SEIDEL_NEWTON_PASSES, tolerance, relaxations, GAUSS_SEIDEL_ROUNDS)
+        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if self.nearest else 0)
+        return self._start(problem, task, tolerance) <= tolerance
 
-    def _newton(self, problem: _Problem, tolerance: float) -> bool:
-        """Newton's method from the workspace's forces; True if accepted."""
-        least = self.residual
-        if np.isfinite(self._space.forces).all() and self._start(problem, CLASSIFY, HOMOTOPY_NEWTON_PASSES, tolerance):
-            return True
-        self.residual = min(self.residual, least)
-        return False
+    def _newton(self, problem: _Problem, tolerance: float) -> float:
+        """The residual that Newton's method comes to from the workspace's forces."""
+        if not np.isfinite(self._space.forces).all():
+            return np.inf
+        return self._start(problem, CLASSIFY, tolerance)
 
     def _homotopy(self, problem: _Problem) -> bool:
         """Modes from the homotopy, tried again and again on its way down, from one beginning after the other."""
-        forces, address = self._space.forces, self._space.address
+        forces, address, strict = self._space.forces, self._space.address, STRICTNESS * self.tolerance
         before, escapes = forces.copy(), 0
         steps = QUICK_HOMOTOPY_STEPS if self.quick else HOMOTOPY_STEPS
         for tube, size in HOMOTOPY_STARTS[:1] if self.quick else HOMOTOPY_STARTS:
-            self.homotopy_count += 1
             follow_homotopy(*problem, address, 1.0, tube, size, 0)
             good: np.ndarray | None = None
             for stop in HOMOTOPY_STOPS:
                 reached = follow_homotopy(*problem, address, stop, tube, size, steps)
                 tried = forces.copy()
-                least = self.residual
-                self.residual = np.inf
-                if self._newton(problem, STRICTNESS * self.tolerance):
+                residual = self._newton(problem, strict)
+                if residual <= strict:
                     return True
-                if self.residual <= self.tolerance:
+                if residual <= self.tolerance:
                     good = tried
-                self.residual = min(self.residual, least)
                 if not reached <= stop:
                     break
             if good is not None:
                 # Nothing better than the tolerance asked for: an ill-conditioned problem.
                 forces[:] = good
-                if self._newton(problem, self.tolerance):
-                    return True
+                self._newton(problem, self.tolerance)
+                return True
             forces[:] = before
             if reached >= HUGE:
                 escapes += 1
@@ -429,39 +384,24 @@ class ContactSolver:
                     return False
         return False
 
-    def _compliant_homotopy(self, problem: _Problem) -> bool:
-        """Modes from the homotopy of contacts with a trace of compliance: of a singular matrix it may be lost in
-        round-off."""
-        (delassus, b, mu), space, before = problem, self._space, self.kept()
-        unit = np.diag(np.repeat(np.diag(delassus).reshape(-1, 3).mean(axis=1), 3))
-        for share in COMPLIANCES:
-            compliant = delassus + share * unit, b, mu
-            task = NEAR if self.nearest else WARM
-            if self._homotopy(compliant) and self._start(problem, task, WARM_PASSES, self.tolerance):
-                return True
-            space.modes[:], space.forces[:], space.velocities[:] = before
-            if self.jammed:
-                break
-        return False
-
     def _programs(self, problem: _Problem, afresh: bool) -> bool:
         """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
-        if self.quick and not self.programs_first:
-            return False
         (delassus, b, mu), space = problem, self._space
         contacts = space.modes.size
         if contacts not in self._sequences:
             self._sequences[contacts] = ConePrograms(contacts)
         before = self.kept()
-        warm = self.programs_first and (afresh or bool(space.counts[KNOWN]))
-        if warm and afresh:
+        warm = afresh or bool(space.counts[KNOWN])
+        if afresh:
             # as Newton's method does: from the least forces of all at rest
-            space.modes[:] = STICK
-            solve_cones(delassus, b, np.full(contacts, np.inf), space.address, WARM, 1, np.inf, 0, 1)
-        task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
+            trace = delassus.diagonal().reshape(-1, 3).sum(axis=1)
+            scale = np.repeat(np.sqrt(3.0 / np.where(trace > 0.0, trace, 3.0)), 3)
+            operator = scale[:, None] * delassus * scale
+            space.forces[:] = scale * np.linalg.lstsq(operator, -scale * b, rcond=RANK_TOLERANCE)[0]
+        task = CLASSIFY + (NEAREST if self.nearest and not afresh else 0)
 
         def finish() -> bool:
-            return self._start(problem, task, PROGRAM_NEWTON_PASSES, self.tolerance)
+            return self._start(problem, task, self.tolerance) <= self.tolerance
 
         programs = QUICK_PROGRAMS if self.quick else PROGRAMS
         if self._sequences[contacts].solve(delassus, b, mu, space.forces, warm, finish, programs):

@@ -12,23 +12,10 @@ from ..friction.cone import OPEN, SLIP, STICK
 from ..friction.loads import RADII_TOLERANCE, Loads
 from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
 from ..friction.solve import ContactSolver
-from ..friction.starts import NEAR, WARM_PASSES, solve_cones
-from ..layout import FRICTIONLESS
-from ..layout import STICK as STICKING
+from ..friction.starts import NEAREST, solve_cones
 from ..workspace import Workspace
-from .impulse_layout import APART, LOOKED_FOR, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
+from .impulse_layout import APART, IN_VAIN, LOOKED_FOR, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
 from .impulse_problem import OPENING
-
-# Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
-_COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
-# What such a solution's forces may be, as velocities, relative to the largest one in b.
-_LARGEST_FORCE = 10.0
-# How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
-# search whose linear algebra rounds differently with the alignment of memory.
-_SEARCHES = ("sweeps", "path")
-
-# Modes in which contacts are at rest, or have no friction.
-_AT_REST = (STICKING, FRICTIONLESS)
 
 # Modes (n,), forces and velocities (3n,) of a solution.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -69,15 +56,14 @@ class _Problem:
 class ImpulseSolver:
     """The solver of a step's cone problems, for what compiled code leaves of them.
 
-    solver: the contact solver, whose tables the compiled code uses, too. Counters: problems that were left, solved with
-    compliance (softened), or with the friction of other loads (settled), and by how much the radii of friction were off
-    in the latter, relative to the largest.
+    solver: the contact solver, whose tables the compiled code uses, too. Counters: problems that were left, or solved
+    with the friction of other loads (settled), and by how much the radii of friction were off in the latter, relative
+    to the largest.
     """
 
     def __init__(self, arrays: Workspace) -> None:
-        self.solver = ContactSolver(stages=_SEARCHES, quick=True)
+        self.solver = ContactSolver(quick=True)
         self._arrays, self._counts, self._numbers = arrays, arrays.counts, arrays.numbers
-        self._problems: dict[int, _Problem] = {}
         self._numbers["cone_tolerance"], self._counts["cone_task"] = self.solver.tolerance, self.solver.task
 
     def choose(self, contact_solver: str) -> None:
@@ -87,13 +73,9 @@ class ImpulseSolver:
 
     def begin(self) -> None:
         """Count anew."""
-        self.left = self.softened = self.settled = 0
+        self.left = self.settled = 0
         self.settled_off = 0.0
         self._share_tables()
-
-    def kept(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]:
-        """Copies of the warm starts, for `restore`."""
-        return self.solver.warm_starts()
 
     def restore(self, kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]) -> None:
         """Take the warm starts of another solver."""
@@ -113,21 +95,12 @@ class ImpulseSolver:
 
     def solve(self) -> bool:
         """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""
-        n, counts, solver = self._counts["units"].item(), self._counts, self.solver
-        problem = self._problems.get(n)
-        if problem is None:
-            arrays = self._arrays
-            problem = self._problems[n] = _Problem(
-                n,
-                arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n),
-                arrays.loads[: 3 * n],
-                arrays.friction[:n],
-                arrays.units[:n],
-                arrays.whitened[: 3 * n],
-            )
+        arrays, n, counts, solver = self._arrays, self._counts["units"].item(), self._counts, self.solver
+        gram, rows = arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n), slice(3 * n)
+        friction, units = arrays.friction[:n], arrays.units[:n]
+        problem = _Problem(n, gram, arrays.loads[rows], friction, units, arrays.whitened[rows])
         if counts["holding"] == WANTED:
-            self._hold(problem)
-            counts["holding"] = LOOKED_FOR
+            counts["holding"] = LOOKED_FOR if self._hold(problem) else IN_VAIN
         elif counts["choosing"]:
             self._choose(problem)
         else:
@@ -135,8 +108,7 @@ class ImpulseSolver:
             if not (self._search(problem) or (counts["thorough"] and self._search_hard(problem))):
                 return False
             self._numbers["cone_residual"] = max(self._numbers["cone_residual"], solver.residual)
-        arrays = self._arrays
-        arrays.cone_forces[: 3 * n], arrays.cone_velocities[: 3 * n] = solver.forces, solver.velocities
+        arrays.cone_forces[rows], arrays.cone_velocities[rows] = solver.forces, solver.velocities
         arrays.cone_modes[:n] = solver.modes
         return True
 
@@ -148,8 +120,9 @@ class ImpulseSolver:
 
     # ---------------------------------------------------------------- redundant forces
 
-    def _hold(self, problem: _Problem) -> None:
-        """Replace a solution that lets go what was at rest by one that does not, if there is one."""
+    def _hold(self, problem: _Problem) -> bool:
+        """Replace a solution that lets go what was at rest by one in the same modes of all else that does not, if there
+        is one."""
         solver = self.solver
         solver.address(problem.n)
         held = problem.units["held"] != 0
@@ -160,37 +133,12 @@ class ImpulseSolver:
         parents, units = problem.units["parent"], problem.units
         turns = (units["kind"] == ON_TURN) & (parents >= 0) & held[parents]
         turns &= ~self._turning(problem) | (units["touches"][parents] != 0)
-        for sticks in (rests, rests | turns, rests | opened | turns):
-            modes = np.where(sticks, STICK, before[0])
+        tries = (np.where(sticks, STICK, before[0]) for sticks in (rests, rests | turns, rests | opened | turns))
+        for modes in {modes.tobytes(): modes for modes in tries}.values():
             if self._holds(problem, modes, before, held):
-                return
-        if not self._goes_on(problem, before, rests | opened):
-            solver.warm_start(*before)
-
-    def _goes_on(self, problem: _Problem, before: Solution, lets_go: np.ndarray) -> bool:
-        """Whether units (n,) that this solution lets go, and that were at rest at the step's start, stay so in another
-        one: that in which they cannot slip, if friction holds them there."""
-        units, modes, solver = problem.units, before[0].copy(), self.solver
-        still = lets_go & (units["kind"] == ON_CONTACT)
-        still[still] = self._arrays.start_mode[units["index"][still]] == STICKING
-        if self._counts["touched"] or self._counts["coupled"] == TOGETHER or not still.any():
-            return False
-        modes[still] = STICK
-        solver.warm_start(modes, *before[1:])
-        if not solver.solve(*problem.cones[:2], np.where(still, np.inf, problem.friction)):
-            return False
-        residual = self._solve_near(problem, *solver.kept())
-        return residual <= solver.tolerance and bool((solver.modes[still] == STICK).all())
-
-    def _stay(self, problem: _Problem) -> bool:
-        """Let all units stay at rest, where all were and the searches have found nothing."""
-        units, mu = problem.units, problem.friction
-        if (units["kind"] != ON_CONTACT).any():
-            return False
-        if not np.isin(self._arrays.start_mode[units["index"]], _AT_REST).all():
-            return False
-        modes, nothing = np.where(mu > 0.0, STICK, SLIP), np.zeros(3 * problem.n)
-        return self._holds(problem, modes, (modes, nothing, nothing), mu > 0.0)
+                return True
+        solver.warm_start(*before)
+        return False
 
     def _holds(self, problem: _Problem, modes: np.ndarray, before: Solution, held: np.ndarray) -> bool:
         """Whether there are forces in these modes (n,), which are the solver's then; held (n,): what must not slip."""
@@ -244,7 +192,7 @@ class ImpulseSolver:
         solver = self.solver
         solver.warm_start(modes, forces, velocities)
         address = solver.address(problem.n)
-        return float(solve_cones(*problem.cones, address, NEAR, WARM_PASSES, solver.tolerance, 0, 1))
+        return float(solve_cones(*problem.cones, address, NEAREST, solver.tolerance))
 
     # ---------------------------------------------------------------- searches
 
@@ -254,7 +202,7 @@ class ImpulseSolver:
         if counts["coupled"] == APART:
             touched = bool(counts["touched"])
             # the usual ways have been tried
-            if self.solver.search(*problem.cones, afresh=touched) or self._stay(problem):
+            if self.solver.search(*problem.cones, afresh=touched):
                 return True
             if not np.isin(problem.units["kind"], (ON_LOADED, ON_TURN)).any():
                 return False
@@ -267,44 +215,19 @@ class ImpulseSolver:
         return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
 
     def _search_hard(self, problem: _Problem) -> bool:
-        """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
-        may be out of reach by a little; then without rebounds, and at length; then, with friction that goes with other
-        loads, what has a solution unless bodies are crushed.
+        """What the quick searches did not solve: for forces and loads at once; then without rebounds; then, with
+        friction that goes with other loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
-        solver, counts, numbers = self.solver, self._counts, self._numbers
-        apart = counts["coupled"] == APART
-        if apart and self._solve_softened(problem):
-            return True
+        counts, numbers = self._counts, self._numbers
+        if counts["coupled"] == APART:
+            counts["coupled"] = TOGETHER
+            if self._solve_together(problem):
+                return True
         problem.base[2::3] += numbers["kept"] * problem.units["shift"]
         numbers["kept"] = numbers["kept_low"] = numbers["kept_high"] = 0.0
-        if apart:
-            solver.quick = False
-            found = solver.solve(*problem.cones)
-            solver.quick = True
-            if found:
-                return True
-        counts["coupled"] = TOGETHER
         return self._solve_together(problem) or self._solve_with_given_radii(problem)
-
-    def _solve_softened(self, problem: _Problem) -> bool:
-        """The solution with the least compliance that gives one."""
-        solver = self.solver
-        diagonal = np.einsum("ii->i", problem.gram)
-        stiff = diagonal.copy()
-        unit = np.repeat(stiff.reshape(-1, 3).mean(axis=1), 3)
-        largest = _LARGEST_FORCE * float(np.abs(problem.base).max())
-        for share in _COMPLIANCES:
-            diagonal[:] = stiff + share * unit
-            if solver.solve(*problem.cones):
-                # contacts that wedge each other are held by next to nothing but the compliance
-                if float((unit * np.abs(solver.forces)).max()) <= largest:
-                    self.softened += 1
-                    return True
-                solver.forget()
-        diagonal[:] = stiff
-        return False
 
     def _loads(self, problem: _Problem) -> Loads:
         """The problem with the loads that it takes as given as functions of the forces."""

@@ -34,9 +34,9 @@ COUNTS = record(
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # counts.coupled: whether the problem is solved together with the loads that it takes as given
 APART, TOGETHER = range(2)
-# counts.holding: forces that hold what was at rest: nobody was asked for them; Python is; they have been looked for.
-# counts.choosing: whether Python is to choose among redundant forces of what slides
-UNASKED, WANTED, LOOKED_FOR = range(3)
+# counts.holding: forces that hold what was at rest: nobody was asked for them; Python is; it has found none; they have
+# been looked for. counts.choosing: whether Python is to choose among redundant forces of what slides
+UNASKED, WANTED, IN_VAIN, LOOKED_FOR = range(4)
 
 # h: step size in s; ahead: s after the step's start at which its geometry and smooth terms are taken, the middle or,
 # where bodies collide, the mean time of the impulses, impact. kept: part of the restitution that is applied, and the

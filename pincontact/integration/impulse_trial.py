@@ -12,7 +12,7 @@ from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
-from ..friction.starts import AFRESH, USUAL
+from ..friction.starts import AFRESH, NEAREST, USUAL
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
@@ -47,6 +47,7 @@ from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
     APART,
+    IN_VAIN,
     JOINT_AT_HIGH,
     JOINT_AT_LOW,
     JOINT_SLIDES_DOWN,
@@ -88,8 +89,6 @@ _LOST = 0.08
 # Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
 # singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
 _INDEPENDENT = 1e-9
-# Forces may leave their cones by this part: they are as accurate as the solver's tolerance.
-_WITHIN = 1e-6
 # A gap below this, relative to the contact's length, is zero.
 _ON_SURFACE = 1e-13
 # Nearer to an end of its domain (in its units) a point is at it.
@@ -97,9 +96,7 @@ _AT_END = 1e-12
 
 call_task = kernel_caller(INTEGER, SYSTEM.type, INTEGER, REAL, REAL)
 _call_on_step = kernel_caller(INTEGER, SYSTEM.type, STEP.type)
-_call_cones = kernel_caller(
-    REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, INTEGER, REAL, INTEGER, INTEGER
-)  # fmt: skip
+_call_cones = kernel_caller(REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, REAL)
 
 
 @kernel
@@ -168,10 +165,7 @@ def _call(step, n, friction, known, task):
         as_array(friction[:n]),
         known,
         task,
-        0,
         step.numbers.cone_tolerance,
-        0,
-        0,
     )
 
 
@@ -224,33 +218,31 @@ def _lets_go(system, step, n):
 
 
 @kernel
-def _may_stay(step, n):
-    """Whether contacts that were at rest at the step's start, and are let go, might stay so in another solution: that
-    in which they cannot slip, if it is within their friction. The solver begins again where it was."""
-    if step.cone_tables[n] == 0:
-        return True
-    known, friction = cone.cone_at(step.cone_tables[n]), step.holding_friction
-    choices, follows, lets_go = known.counts[cone.CHOICES], known.counts[cone.FOLLOWS], False
+def _stay_otherwise(step, n):
+    """Keep at rest contacts that were so at the step's start, and that this solution lets go, where they stay so in
+    another one: that in which they cannot slip, if friction holds them there."""
+    if step.counts.touched != 0 or step.counts.coupled != APART:
+        return
+    known, friction, lets_go = cone.cone_at(step.cone_tables[n]), step.holding_friction, False
+    choices, follows = known.counts[cone.CHOICES], known.counts[cone.FOLLOWS]
     for u in range(n):
         unit = step.units[u]
         friction[u] = step.friction[u]
         if unit.held != 0 and unit.kind == ON_CONTACT and step.start_mode[unit.index] == STICK:
             friction[u], known.modes[u], lets_go = math.inf, cone.STICK, True
-    if not lets_go:
-        return False
-    holds = _call(step, n, friction, known, step.counts.cone_task) <= step.numbers.cone_tolerance
-    forces = known.forces
-    for u in range(n):
-        if friction[u] != step.friction[u]:
-            tangential = math.hypot(forces[3 * u], forces[3 * u + 1])
-            holds = holds and known.modes[u] == cone.STICK
-            holds = holds and tangential <= (1.0 + _WITHIN) * step.friction[u] * forces[3 * u + 2]
+    tolerance, task = step.numbers.cone_tolerance, max(step.counts.cone_task, NEAREST)
+    holds = lets_go and _call(step, n, friction, known, task) <= tolerance
+    holds = holds and _call(step, n, step.friction, known, task) <= tolerance
+    for u in range(n if lets_go else 0):
+        holds = holds and (friction[u] == step.friction[u] or known.modes[u] == cone.STICK)
+    if holds:
+        _take_solution(step, known)
+        return
+    known.counts[cone.CHOICES], known.counts[cone.FOLLOWS] = choices, follows
     for u in range(n):
         known.modes[u] = step.cone_modes[u]
         for k in range(3 * u, 3 * u + 3):
             known.forces[k], known.velocities[k] = step.cone_forces[k], step.cone_velocities[k]
-    known.counts[cone.CHOICES], known.counts[cone.FOLLOWS] = choices, follows
-    return holds
 
 
 @kernel
@@ -359,10 +351,12 @@ def _impulses(system, step, found):
             chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
             for u in range(n):
                 chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
-            chosen = chosen or (counts.touched == 0 and _may_stay(step, n))
-            counts.holding = WANTED if chosen else LOOKED_FOR
+            counts.holding = WANTED if chosen else IN_VAIN
             if counts.holding == WANTED:
                 return CONE_LEFT
+        if counts.holding == IN_VAIN:
+            counts.holding = LOOKED_FOR
+            _stay_otherwise(step, n)
         if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):
             counts.choosing = 1
             return CONE_LEFT

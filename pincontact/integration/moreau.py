@@ -446,7 +446,6 @@ class MoreauStep:
         return {
             "cone_problems": cones.left + int(counts["solved"]),
             "rigid": int(counts["rigid_steps"]),
-            "softened": cones.softened,
             "settled": cones.settled,
             "open_loads": int(counts["open_loads"]),
             "decided": cones.solver.decided,
@@ -515,7 +514,7 @@ class MoreauStep:
             },
             "system": {name: getattr(system, name).copy() for name in _OF_SYSTEM},
             "charts": system.side_int[:, CHART].copy(),
-            "warm_starts": self.cones.kept(),
+            "warm_starts": self.cones.solver.warm_starts(),
         }
 
     def restore(self, kept: dict[str, Any]) -> None:

@@ -240,8 +240,8 @@ def solution_after(runs: Runs, name: str, run: pc.Trajectory, exact: pc.Trajecto
     after = pc.simulate(motion.scene, state, min(rest, 0.01), method="Moreau", **given)
     if after.status < 0:
         return f"none found: time stepping ends with {after.status} there"
-    softened = after.stats["softened"]
-    return f"only with compliance, in {softened} steps" if softened else "yes, time stepping goes on"
+    settled = after.stats["settled"]
+    return f"only with friction of other loads, in {settled} steps" if settled else "yes, time stepping goes on"
 
 
 def judge(

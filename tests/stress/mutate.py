@@ -123,11 +123,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0", "> -> <",
     ): "with and without factors Newton's steps are the same to round-off",
     (
-        "pincontact/friction/solve.py", "solve",
-        "self.residual = residual = solve_cones(delassus, b, mu, space.address, self.task, 0, self.tolerance, 0, 0)",
-        "0 -> 1",
-    ): "passes, sweeps and rounds are of no account to usual tasks",
-    (
         "pincontact/friction/centred.py", "add_contact",
         "self.append(Cone(normal, mu, 0.0, tuple(tangents), scaling) if tangents else Cone(normal, 1.0, 0.0))",
         "1.0 -> 1.5",
@@ -175,11 +170,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1",
         "+ -> -",
     ): "where the corrections of modes begin: the same solution is found",
-    (
-        "pincontact/friction/starts.py", "try_usual_starts",
-        "residual, searched = try_start(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)",
-        "0 -> 1",
-    ): "sweeps are of no account to these tasks",
     (
         "pincontact/friction/homotopy.py", "follow_homotopy",
         "if x[rows] <= target or x[rows] > 1.0:",

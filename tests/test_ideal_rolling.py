@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+from bodies import one_body
 from reference import build
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
@@ -323,11 +324,7 @@ def thrown_body(seed):
         place, height = pin.SE3(np.eye(3), np.array([a, 0.0, 0.0])), -a * rotation[2, 0]
     else:
         shape, moments, height = pc.Torus(a, 0.2 * a), disk, height + 0.2 * a
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, com, np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, com, np.diag(moments))))
     grounds = [
         (pc.Plane(), 0.0),
         (pc.Sphere(2.0), -2.0),

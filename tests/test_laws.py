@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from bodies import one_body
 
 import pincontact as pc
 from pincontact.errors import FrictionError
@@ -134,11 +135,7 @@ class OwnOnset(Own):
 
 
 def sliding_point(law):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "slider")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.eye(3)), "block"))
     point, floor = scene.add_contour("point", pc.Point(), "block"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("foot", point, floor, friction=law)
     return scene

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from bodies import one_body
 
 import pincontact as pc
 from pincontact.geometry.nearest import NearestSearch
@@ -373,11 +374,8 @@ def test_a_swinging_plate_is_not_missed(method):
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
 def test_a_turning_arm_is_not_missed(method):
     """A ball at the end of an arm that turns steadily, which any step follows, dips into a floor once a turn."""
-    model = pin.Model()
+    model = one_body(pin.JointModelRY(), pin.Inertia(1.0, np.zeros(3), np.eye(3)), "arm")
     model.gravity.linear = np.zeros(3)
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "arm")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("arm", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     scene.add_contour("ball", pc.Sphere(0.1), "arm", placement=pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0])))
     scene.add_contour("floor", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, -1.09])))
@@ -551,11 +549,7 @@ def test_a_ball_on_a_spinning_body_touches_a_plane_when_it_first_can(seed):
 def test_starts_inside(depth, speed, told, options):
     """A ball that is free starts within the floor: both kinds of methods take it alike, and say where it ends."""
     radius, duration = 0.1, 0.4
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelPZ(), pin.Inertia.FromSphere(1.0, radius), "ball"))
     floor, ball = scene.add_contour("floor", pc.Plane()), scene.add_contour("ball", pc.Sphere(radius), "ball")
     scene.add_contact("c", ball, floor)
     state = scene.initial_state([radius - depth], [speed], free=["c"])

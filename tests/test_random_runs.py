@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from bodies import one_body
 from random_contacts import PATTERNS, RandomContact, is_line_contact, motions_of, names_of
 from test_moreau import random_scene
 
@@ -77,11 +78,7 @@ def thrown_body(seed):
         shape = pc.Ellipsoid(*axes) if seed % 3 == 1 else pc.Sphere(axes[0])
         moments = 0.2 * mass * (np.sum(axes**2) - axes**2)
         height = float(np.linalg.norm(axes * rotation[2]))
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag(moments))))
     body, floor = scene.add_contour("body", shape, "body"), scene.add_contour("floor", ground(rng))
     scene.add_contact("c", body, floor, friction=pc.Coulomb(mu))
     q = np.array([0.0, 0.0, height, *pin.Quaternion(rotation).coeffs()])

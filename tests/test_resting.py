@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from bodies import one_body
 from scipy.optimize import brentq
 
 import pincontact as pc
@@ -28,12 +29,8 @@ FEET = [(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)]
 
 
 def body(**options):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
     inertia = pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
     return scene, scene.add_contour("floor", pc.Plane(), **options)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from bodies import one_body
 from test_open_contacts import AMPLITUDE, LENGTH, G, body, fall, touches, waves
 from test_search_parts import system_of
 
@@ -276,10 +277,7 @@ def test_what_touches_once_has_no_second_place():
 
 
 def planar_once(curve, radius, centre):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
-    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPlanar(), pin.Inertia.Random(), "disk")
     scene = pc.Scene(model)
     scene.add_contour("disk", pc.Circle(radius), frame="disk")
     scene.add_contour("curve", curve)

@@ -14,9 +14,9 @@ import test_ends_in_steps
 import test_ideal_rolling
 import test_moreau
 import test_random_runs
-from bodies import one_body
 from random_contacts import PATTERNS
 from random_scenes import axis, random_scene, resting_chain
+from shared import one_body
 from test_dead_centres import random_crank
 
 import pincontact as pc

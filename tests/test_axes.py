@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from scipy.special import ellipj, ellipk
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration.run_system import RunSystem

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from random_motions import Motion
 from scipy.optimize import linprog, nnls
+from shared import one_body
 from test_dead_centres import random_crank
 from test_loads import body_on_feet, normal_problem
 

@@ -9,21 +9,14 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from reference import build
 from scipy.special import ellipj, ellipk
+from shared import body_scene
 
 import pincontact as pc
 
 G = 9.81
 TIGHT = {"rtol": 1e-12, "atol": 1e-14}
-
-
-def body_scene(joint, mass, inertia=(1.0, 1.0, 1.0), gravity=(0.0, 0.0, -G)):
-    """One body on one joint; frame "body" at its centre of mass. inertia: principal moments in kg m^2."""
-    model = one_body(joint, pin.Inertia(mass, np.zeros(3), np.diag(inertia)))
-    model.gravity.linear = np.array(gravity)
-    return pc.Scene(model)
 
 
 def ball_scene(radius, mass, surface, friction, side=None, placement=None, motion=None):

@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
-from bodies import one_body
 from scipy.special import j0
+from shared import one_body
 from test_contours_formulas import FORMS, expression
 
 import pincontact as pc

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from random_motions import random_motion
+from shared import one_body
 from test_moreau import ball_scene, upright
 
 import pincontact as pc

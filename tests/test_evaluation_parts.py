@@ -10,9 +10,9 @@ import numba
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from calling import from_python
 from made_systems import made_system
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant

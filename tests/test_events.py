@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from reference import build
+from shared import kinds, one_body
 
 import pincontact as pc
 from pincontact.integration.crossings import ENDS
@@ -33,10 +33,6 @@ def ball_scene(friction=None, restitution=0.0, mass=0.5):
 def thrown(scene, height, v=(0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0)):
     q = np.array([0.0, 0.0, RADIUS + height, 0.0, 0.0, 0.0, 1.0])
     return scene.initial_state(q, np.array([*v, *omega]), free=["c"])
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 # ------------------------------------------------------------------------------------------------- flight and impact

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from reference import build
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
+from shared import kinds, one_body
 from test_moreau import G, body_scene, random_scene
 
 import pincontact as pc
@@ -22,10 +22,6 @@ from pincontact.integration.penetration import Penetration
 
 FREE, STICK, SLIPPING = -1, 1, 2
 HALF, PUSH = 0.5, 2.0
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 def rod_scene(law, tangents):

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 

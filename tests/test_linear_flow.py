@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from random_scenes import resting_chain
 from scipy.linalg import expm
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant

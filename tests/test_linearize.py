@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from scipy.linalg import expm
+from shared import one_body
 
 import pincontact as pc
 

@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from differential import Runs
 from random_motions import random_motion
+from shared import one_body
 
 import pincontact as pc
 

@@ -9,22 +9,15 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from reference import NATIVE_NAMES, body_motion, build, reference
 from scipy.integrate import quad
 from scipy.optimize import brentq
+from shared import body_scene, kinds, one_body
 
 import pincontact as pc
 
 G = 9.81
 FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
-
-
-def body_scene(joint, mass, inertia=(1.0, 1.0, 1.0), gravity=(0.0, 0.0, -G)):
-    """One body on one joint; frame "body" at its centre of mass. inertia: principal moments in kg m^2."""
-    model = one_body(joint, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), joint="joint")
-    model.gravity.linear = np.array(gravity)
-    return pc.Scene(model)
 
 
 def ball_scene(radius=0.1, mass=2.0, friction=None, restitution=0.0, gravity=(0.0, 0.0, -G)):
@@ -73,10 +66,6 @@ def stepped(scene, state, duration, h, **options):
     assert np.isfinite(run.q).all()
     assert np.isfinite(run.v).all()
     return run
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 # ---------------------------------------------------------------------------------------------------- impacts

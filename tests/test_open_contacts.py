@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 from pincontact.geometry.nearest import NearestSearch

@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
-from bodies import one_body
 from calling import from_python
 from made_systems import made_system
+from shared import one_body
 
 import pincontact as pc
 from pincontact.constraints.kinematics import basis_at_contact

@@ -13,11 +13,11 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from random_contacts import PATTERNS, PLANAR, START, RandomContact, _moved, contacts
 from scipy.special import ellipeinc
+from shared import one_body
 
 import pincontact as pc
 from pincontact.geometry.frames import contact_frame, dual_basis

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from random_contacts import PATTERNS, RandomContact, is_line_contact, motions_of, names_of
+from shared import one_body
 from test_moreau import random_scene
 
 import pincontact as pc

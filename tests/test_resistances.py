@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
+from shared import one_body
 from turning_ball import ball
 
 import pincontact as pc

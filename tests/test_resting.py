@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from scipy.optimize import brentq
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration import events

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
-from bodies import one_body
+from shared import one_body
 from test_open_contacts import AMPLITUDE, LENGTH, G, body, fall, touches, waves
 from test_search_parts import system_of
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 from pincontact.contacts import characteristic_length

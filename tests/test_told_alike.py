@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared import kinds, one_body
 from turning_ball import MASS, RADIUS, G, ball, on_the_floor
 
 import pincontact as pc
@@ -17,10 +17,6 @@ BILATERAL = pytest.mark.parametrize("bilateral", [False, True], ids=["unilateral
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 # what runs at these tolerances are off by: closed forms of low order, so the steps' errors are below the tolerance
 ACCURATE = 1e-9
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 # ------------------------------------------------------------------------------------------------ between events

@@ -13,7 +13,6 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from calling import from_python
 from random_contacts import (
     EIGHTH_ORDER,
@@ -28,6 +27,7 @@ from random_contacts import (
     motions_of,
     names_of,
 )
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from scipy.integrate import solve_ivp
+from shared import one_body
 
 import pincontact as pc
 from pincontact.layout import SLIPPING

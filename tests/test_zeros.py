@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from bodies import one_body
 from calling import from_python
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration import sign_changes

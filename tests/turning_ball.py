@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pinocchio as pin
-from bodies import one_body
+from shared import one_body
 
 import pincontact as pc
 

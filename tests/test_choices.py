@@ -48,7 +48,7 @@ def least_friction(points, push):
     return high
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_feet_slip_only_when_there_is_no_choice(seed):
     """A push jumps to what forces inside the cones can just hold, or just cannot."""
     rng = np.random.default_rng(seed)

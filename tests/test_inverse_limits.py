@@ -132,7 +132,7 @@ def test_what_all_solutions_share():
     The first level presses onto a ray of a cone, an apex and a row's end, or onto nothing, at random.
     """
     counts: Counter[str] = Counter()
-    for seed in range(50):
+    for seed in range(36):
         rng = np.random.default_rng(seed)
         n = 10
         region, target = random_region(rng, n, cones=4, rows=4), 3.0 * rng.normal(size=n)
@@ -193,8 +193,8 @@ def test_what_all_solutions_share():
 @pytest.mark.parametrize("kind", ["quadruped", "arm"])
 def test_random_states(kind):
     """Equations to round-off, cones and limits to 1e-6, Farkas for what is out of reach; a thousand in tests/stress."""
-    outcomes = Counter(check_case(random_case(kind, seed)) for seed in range(20))
-    assert outcomes["reached"] > 5
+    outcomes = Counter(check_case(random_case(kind, seed)) for seed in range(12))
+    assert outcomes["reached"] > 3
     assert outcomes["nearest"] > 1
 
 

@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import functools
 import importlib
 import inspect
 import logging
@@ -28,11 +29,13 @@ from pincontact.view.plots import plot
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pincontact"
-SOURCES = {
-    path: ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if "docs" not in path.parts
-}
+
+
+@functools.cache
+def sources():
+    """Syntax trees of the package's files."""
+    files = [path for path in sorted(PACKAGE.rglob("*.py")) if "docs" not in path.parts]
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
 
 
 def sliding_ball(mu=0.2):
@@ -287,7 +290,7 @@ INTERNAL = {"Stop", "Mismatch", "Untraceable", "_Refused"}
 
 def raised():
     """(file, line, name of the class, its first argument) of every `raise Name(...)` in the package."""
-    for path, tree in SOURCES.items():
+    for path, tree in sources().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
                 arguments = node.exc.args
@@ -319,7 +322,7 @@ def test_errors_do_not_skip_their_base():
 
 def test_warnings_end_in_a_full_stop():
     count = 0
-    for path, tree in SOURCES.items():
+    for path, tree in sources().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "warnings.warn":
                 count += 1
@@ -337,7 +340,7 @@ def test_runs_end_with_a_sentence(slide, tmp_path):
 
 
 def test_nothing_is_printed_but_by_the_command_line():
-    for path, tree in SOURCES.items():
+    for path, tree in sources().items():
         if path.name != "__main__.py":
             calls = [ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)]
             assert "print" not in calls, path

@@ -344,7 +344,9 @@ def test_of_several_solutions_of_an_impact_it_finds_the_usual_one():
 
 
 WITH_FRICTION = [
-    name for name in reference.NAMES if any(c.friction is not None for c in reference.build(name)[0].contacts.values())
+    name
+    for name, scene in reference.SPECIFICATIONS.items()
+    if any(map(reference.friction_of, scene["contacts"], scene["mode0"]))
 ]
 
 

@@ -1,6 +1,7 @@
 """Bodies that touch at a second place: told where no contact is declared for it, and right where one is. Places are
 computed independently, from dense samples of the waves."""
 
+import functools
 import itertools
 import math
 
@@ -47,6 +48,7 @@ def depth(run):
     return (AMPLITUDE * np.sin(2.0 * np.pi * x / LENGTH) - run.q[:, 2:3] + RADIUS * np.cos(angle)).max(axis=1)
 
 
+@functools.cache
 def resting_place():
     """Height of the centre and slope (rad) at both places, of a disk across the trough."""
     across = np.linspace(0.0, RADIUS, 2_000_001)
@@ -132,10 +134,8 @@ def test_second_contacts_strike(method, restitution):
 def test_both_kinds_of_methods_settle_alike():
     """From above, both contacts open, into the trough, where ever shorter hops from slope to slope end at rest."""
     height, _ = resting_place()
-    for shape, mu in itertools.product(SHAPES, [0.0, 0.6]):
-        if isinstance(shape, pc.Circle) and mu == 0.0:
-            # which tips over
-            continue
+    # a ring without friction tips over
+    for shape, mu in zip(SHAPES, (0.0, 0.6)):
         scene = scene_of(shape, contacts=2, mu=mu)
         state = scene.initial_state(at(shape, 0.2, 0.4), free=["c0", "c1"])
         runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
@@ -147,8 +147,7 @@ def test_both_kinds_of_methods_settle_alike():
         assert abs(first[0] - first[1]) < 1e-5
 
 
-@pytest.mark.parametrize("free", [["c0"], ["c1"], ["c0", "c1"]], ids="-".join)
-@pytest.mark.parametrize("shape", SHAPES, ids=["ball", "ring"])
+@pytest.mark.parametrize(("shape", "free"), [(SHAPES[0], ["c0"]), (SHAPES[1], ["c1"]), (SHAPES[1], ["c0", "c1"])])
 def test_whatever_order_contours_are_named_in(shape, free):
     """Two contacts of one pair, the second with its contours the other way round."""
     height, _ = resting_place()
@@ -340,7 +339,7 @@ def inside(states, shape, radius):
 @pytest.mark.parametrize("kind", ["trench", "ridge", "step"])
 def test_points_over_narrow_places(kind, method):
     """Thrown along grounds with and without ends."""
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         width = rng.uniform(0.01, 0.05)
         height = rng.uniform(0.02, 0.05) * (-1.0 if kind == "trench" else 1.0)
@@ -418,7 +417,7 @@ def rolls(seed, ground, radius, method):
 def test_balls_roll_onto_narrow_places(kind, method):
     """What is narrower than a ball, on a ground of hundreds of its radii, touches it before it is inside."""
     told = 0
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         radius = rng.uniform(0.05, 0.3)
         width, up = rng.uniform(0.07, 0.4) * radius, 1.0 if kind in ("ridge", "bump", "step") else -1.0
@@ -429,10 +428,10 @@ def test_balls_roll_onto_narrow_places(kind, method):
         # a step of 1 ms at the speeds of these balls
         assert inside(run.q, shape, radius) < (5e-3 if method == "Moreau" else 1e-5), seed
     # stones stop all of them; past the middle of a small pit they roll around its edge
-    assert told == 4 if kind in ("ridge", "bump") else told >= (kind != "pit")
+    assert told == 2 if kind in ("ridge", "bump") else told >= (kind != "pit")
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize("kind", ["pit", "trench"])
 def test_drops_onto_an_axis_of_symmetry(kind, method):
     """Bodies that touch at two places at the same time, or all around, go through neither."""

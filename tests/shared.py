@@ -35,6 +35,11 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
     return basis * np.sign(np.linalg.det(basis))
 
 
+def kinds_of(base: type) -> set[str]:
+    """Names of the public classes derived from a public one."""
+    return {name for name in pc.__all__ if isinstance(kind := getattr(pc, name), type) and base in kind.__mro__[1:]}
+
+
 def kinds(run: pc.Trajectory, *which: str) -> list[str]:
     """Kinds of the events of a run, or those of them that are asked for."""
     return [event.kind for event in run.events if not which or event.kind in which]

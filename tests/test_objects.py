@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import kinds_of
 
 import pincontact as pc
 from pincontact import log
@@ -134,6 +135,17 @@ SHAPES = [
     pc.Cone(0.4),
     pc.Torus(0.3, 0.1),
 ]
+
+
+# of these what is shown is not all: they have much data, or a function
+NOT_READ_BACK = {
+    *("HeightField", "ParametricCurve", "ParametricSurface", "SplineCurve", "SplineSurface", "SurfaceOfRevolution"),
+}
+
+
+def test_contours_that_are_read_back_are_all_there():
+    missing = kinds_of(pc.Contour) - NOT_READ_BACK - {type(shape).__name__ for shape in SHAPES}
+    assert not missing, f"SHAPES or NOT_READ_BACK lacks {missing}"
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=repr)

@@ -195,13 +195,13 @@ def test_reference_lists_all_public_names():
     assert len(listed) == len(set(listed))
 
 
-def test_public_names_are_listed():
+def test_the_readme_lists_public_names():
     section = re.search(r"## The public names(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)
     missing = [name for name in pc.__all__ if f"`{name}`" not in section[1]]
     assert not missing
 
 
-def test_every_kind_is_listed_in_the_documents():
+def test_documents_list_every_kind():
     """Contours and friction laws, where their parameters are."""
     contours, laws = kinds_of(pc.Contour), kinds_of(pc.FrictionLaw)
     for file, names, form in (

@@ -6,11 +6,19 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from shared import one_body
+import random_scenes
+from shared import kinds_of, one_body
+from test_unprojected import SLIDING
 
 import pincontact as pc
 from pincontact.errors import FrictionError
 from pincontact.friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
+
+
+def test_every_law_is_listed_in_the_tables_of_the_tests():
+    for table, laws in (("SLIDING", SLIDING.values()), ("LAWS of random_scenes.py", random_scenes.LAWS)):
+        missing = kinds_of(FrictionLaw) - {"NoSlip"} - {type(law).__name__ for law in laws}
+        assert not missing, f"{table} lacks {missing}"
 
 
 def test_coulomb_without_a_static_coefficient_sticks_up_to_mu():

@@ -144,7 +144,7 @@ def test_a_block_slides_when_the_load_says(case):
     assert abs(run.q[-1, 0] - way) <= 100.0 * options(case)["rtol"] * max(1.0, abs(way))
 
 
-@pytest.mark.parametrize("case", range(14))
+@pytest.mark.parametrize("case", range(7))
 def test_a_dry_joint_slides_when_the_load_says(case):
     rng = np.random.default_rng(100 + case)
     dry, omega, duration = rng.uniform(0.5, 5.0), 10.0 ** rng.uniform(0.0, 1.5), 8.0
@@ -451,7 +451,7 @@ def _chain(rng, n):
     return pc.Scene(model)
 
 
-@pytest.mark.parametrize("case", range(13, 40))
+@pytest.mark.parametrize("case", range(13, 40, 2))
 def test_coupled_stops_come_to_rest(case):
     """Sliders on each other, pressed onto their limits: each impact lifts the others, by less and less."""
     rng = np.random.default_rng(case)

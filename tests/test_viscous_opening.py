@@ -146,7 +146,7 @@ LAWS = [
 ]
 
 
-@pytest.mark.parametrize("case", [*range(10), 109, 128, 155, 179, 188])
+@pytest.mark.parametrize("case", [*range(5), 109, 128, 155, 179, 188])
 def test_feet_that_are_lifted_by_turns(case):
     """A block on four feet, shaken: its feet open and touch all the time, but not without end, and nothing gains
     energy."""

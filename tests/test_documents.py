@@ -215,6 +215,19 @@ def test_documents_list_every_kind():
         assert not missing, f"{file.name} lacks {missing}"
 
 
+def test_every_kind_of_event_is_listed():
+    """What the sources announce by name, in the docstring of `Event` and in the table of events."""
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "pincontact" / "integration").glob("*.py")]
+    announced = {kind for text in sources for kind in re.findall(r'announce\([^"\n]*"(\w+)"', text)}
+    explained = set(re.findall(r'"(\w+)"', re.search(r"kind : str(.*?)\n    q :", pc.Event.__doc__, re.DOTALL)[1]))
+    table = re.search(r"\n\| `event.kind`(.*?)\n\n", (DOCS / "conventions.md").read_text(encoding="utf-8"), re.DOTALL)[
+        1
+    ]
+    listed = {kind for row in table.splitlines()[2:] for kind in re.findall(r"`(\w+)`", row.split("|")[1])}
+    assert announced and not announced - explained, f"the docstring of Event lacks {announced - explained}"
+    assert listed == explained, f"conventions.md and the docstring of Event differ by {listed ^ explained}"
+
+
 def test_paper_table_names_what_is_there():
     """Every module, function and test in the tables of `paper.md` and of the README's section about the paper."""
     readme = re.search(r"## The paper(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)[1]

@@ -468,7 +468,7 @@ def test_random_kinks_and_jumps_are_refused():
             curve(ways[(i // 6) % len(ways)])
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("width", [1e-2, 1e-7])
 def test_branches_are_followed_however_narrow_they_are(width):
     generator = np.random.default_rng(3)
     for _ in range(2):

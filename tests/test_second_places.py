@@ -132,19 +132,18 @@ def test_second_contacts_strike(method, restitution):
 
 
 def test_both_kinds_of_methods_settle_alike():
-    """From above, both contacts open, into the trough, where ever shorter hops from slope to slope end at rest."""
+    """From above, both contacts open, into the trough, where a ball's ever shorter bounces from slope to slope end at
+    rest. Rings: in the tests before and after this one."""
     height, _ = resting_place()
-    # a ring without friction tips over
-    for shape, mu in zip(SHAPES, (0.0, 0.6)):
-        scene = scene_of(shape, contacts=2, mu=mu)
-        state = scene.initial_state(at(shape, 0.2, 0.4), free=["c0", "c1"])
-        runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
-        for run in runs:
-            assert run.status == 0, run.message
-            np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
-            assert depth(run).max() < 1e-4
-        first = [touches(run)[0] for run in runs]
-        assert abs(first[0] - first[1]) < 1e-5
+    scene = scene_of(SHAPES[0], contacts=2, mu=0.0)
+    state = scene.initial_state(at(SHAPES[0], 0.2, 0.4), free=["c0", "c1"])
+    runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
+    for run in runs:
+        assert run.status == 0, run.message
+        np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
+        assert depth(run).max() < 1e-4
+    first = [touches(run)[0] for run in runs]
+    assert abs(first[0] - first[1]) < 1e-5
 
 
 @pytest.mark.parametrize(("shape", "free"), [(SHAPES[0], ["c0"]), (SHAPES[1], ["c1"]), (SHAPES[1], ["c0", "c1"])])

@@ -52,11 +52,11 @@ if TYPE_CHECKING:
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
 _SHORTEST_STEP = float(np.finfo(float).eps)
-# Rounding of times, relative to the duration, of which a run tells: more than the default tolerance.
+# Rounding of times, relative to the duration, that a run reports: more than the default tolerance.
 _LARGEST_ROUNDING = 1e-8
 # What ends a run whose motion may go on all the same.
 _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
-# Gain of energy, see `energy_gained`, of which a run of time stepping tells.
+# Gain of energy, see `energy_gained`, that a run of time stepping reports.
 _TOLD_GAIN = 1e-3
 _BAR = "{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
 

@@ -168,7 +168,7 @@ class ContactTrack:
         )
 
     def _summary(self) -> dict[str, str]:
-        """What is told of it at a glance."""
+        """Labels and values of a short summary."""
         mode, n = np.atleast_1d(self.mode), np.size(self.mode)
         if n == 0:
             return {"outputs": "no outputs"}
@@ -272,7 +272,7 @@ def _evaluate_outputs(
         known = system.evaluate(time := float(t[i])) <= EVENT
         if known and FREE in system.modes and opened.follow(time):
             known = system.evaluate(time) <= EVENT
-        # where nothing tells what acts, as torques that are not finite, where contacts are may be known
+        # with unknown forces, as of torques that are not finite, the contact points may be known
         if known or system.evaluate_kinematics(time) == OK:
             for name, view in views.items():
                 values[name][len(rows)] = view if known or name != "force" else np.nan

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -27,27 +28,31 @@ def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Calla
     if numba.config.DISABLE_JIT:
         return part
 
-    @numba.njit(**KERNEL_OPTIONS)
+    @numba.njit(**KERNEL_OPTIONS, no_cfunc_wrapper=True)
     def compiled(*arguments):
         return part(*_as_kernels_have_them(arguments))
 
     if layout is not None:
         at = layout.at
 
-        @numba.njit(**KERNEL_OPTIONS)
+        @numba.njit(**KERNEL_OPTIONS, no_cfunc_wrapper=True)
         def compiled_at(address, *arguments):
             return part(at(address), *_as_kernels_have_them(arguments))
 
     @functools.wraps(part)
     def call(*arguments: Any) -> Any:
-        usual = numba.config.OPT
+        usual, collects = numba.config.OPT, gc.isenabled()
         numba.config.OPT = type(usual)(1)
+        # a compiler leaves little garbage, and looking for it takes a tenth of its time
+        gc.disable()
         try:
             if layout is not None:
                 return compiled_at(arguments[0].address, *arguments[1:])
             return compiled(*arguments)
         finally:
             numba.config.OPT = usual
+            if collects:
+                gc.enable()
 
     return call
 

@@ -114,7 +114,7 @@ _SURFACES: dict[str, Callable[[float], pc.Contour]] = {
         (_WIDE, _WIDE),
     ),
 }
-_KINDS = {"curve": _SPACE_CURVES, "planar curve": _PLANAR_CURVES, "surface": _SURFACES}
+TABLES = {"curve": _SPACE_CURVES, "planar curve": _PLANAR_CURVES, "surface": _SURFACES}
 # touching along a whole line wherever they touch
 _LINE_CONTACTS = {
     ("Line", "Line"),
@@ -151,7 +151,7 @@ def contour(pattern: str, body: int, name: str) -> pc.Contour:
 
 @cache
 def _contour(kind: str, name: str, size: float) -> pc.Contour:
-    return _KINDS[kind][name](size)
+    return TABLES[kind][name](size)
 
 
 def _pose(t: float) -> pin.SE3:

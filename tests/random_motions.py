@@ -18,6 +18,7 @@ import test_places_in_steps
 import test_random_runs
 from random_contacts import PATTERNS
 from random_scenes import axis, random_scene, resting_chain
+from shared import one_body
 from test_dead_centres import random_crank
 
 import pincontact as pc
@@ -164,12 +165,8 @@ def law(rng: np.random.Generator, along: str | None = None) -> pc.FrictionLaw | 
 
 
 def free_body(mass: float, moments: np.ndarray, offset: np.ndarray | None = None) -> pin.Model:
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     inertia = pin.Inertia(mass, np.zeros(3) if offset is None else offset, np.diag(moments))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    return model
+    return one_body(pin.JointModelFreeFlyer(), inertia)
 
 
 def patch(rng: np.random.Generator, reach: float) -> pc.Plane:

@@ -17,7 +17,7 @@ import pincontact as pc
 DIFFERENCES = 1e-8
 LAWS = {"smooth": None, "rolling": pc.NoSlip(), "rough": pc.Coulomb(0.2, viscous=0.1)}
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=6, deadline=None, derandomize=True, database=None)
 
 
 def analyzed(contact, h=0.0):
@@ -116,7 +116,7 @@ def test_rates_of_the_components(pattern, data):
 
 @pytest.mark.parametrize("law", LAWS)
 @EACH_PATTERN
-@settings(CHECKED, max_examples=5)
+@settings(CHECKED, max_examples=3)
 @given(data=st.data())
 def test_equations_of_motion(pattern, law, data):
     """M a = H + rows^T multipliers (Eq. 31) gives accelerations that Pinocchio finds with the contact's wrenches, and

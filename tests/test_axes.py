@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.special import ellipj, ellipk
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration.run_system import RunSystem
@@ -97,10 +98,7 @@ def test_a_spinning_ball_flies_on_a_parabola(method, joint):
 
 
 def bowl_scene(radius, bowl):
-    model = pin.Model()
-    index = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(index, pin.Inertia(0.5, np.zeros(3), 0.2 * radius**2 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", index, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(0.5, np.zeros(3), 0.2 * radius**2 * np.eye(3)), "ball")
     scene = pc.Scene(model)
     ball = scene.add_contour("ball", pc.Sphere(radius), "ball")
     scene.add_contact("c", ball, scene.add_contour("bowl", pc.Sphere(bowl)), friction=pc.NoSlip(), side=-1)
@@ -133,10 +131,7 @@ def test_spheres_need_no_newton():
     scene = bowl_scene(0.2, 1.0)
     run = pc.simulate(scene, scene.initial_state([0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), 0.2)
     assert run.stats["newton"] == 0
-    model = pin.Model()
-    index = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
-    model.appendBodyToJoint(index, pin.Inertia(0.5, np.zeros(3), 0.02 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("body", index, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(0.5, np.zeros(3), 0.02 * np.eye(3)))
     for contour, side, place in ((pc.Sphere(0.2), 1, 1.2), (pc.Sphere(0.2), -1, 0.8), (pc.Point(), 1, 1.0)):
         scene = pc.Scene(model)
         body, world = scene.add_contour("body", contour, "body"), scene.add_contour("world", pc.Sphere(1.0))

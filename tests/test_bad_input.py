@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -19,11 +20,9 @@ RADIUS, LEAN = 0.3, 1.2
 
 
 def disk_model():
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.04])), pin.SE3.Identity())
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
-    return model
+    return one_body(
+        pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.04])), "disk", joint="root"
+    )
 
 
 def disk_scene(friction=None, model=None, **contact):

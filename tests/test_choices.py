@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from random_motions import Motion
 from scipy.optimize import linprog, nnls
+from shared import one_body
 from test_dead_centres import random_crank
 from test_loads import body_on_feet, normal_problem
 
@@ -47,7 +48,7 @@ def least_friction(points, push):
     return high
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_feet_slip_only_when_there_is_no_choice(seed):
     """A push jumps to what forces inside the cones can just hold, or just cannot."""
     rng = np.random.default_rng(seed)
@@ -200,10 +201,7 @@ def test_points_on_curves_in_turned_worlds(seed):
 
 def rail(order, mu):
     """A body in a plane whose three points slide on one line, in this order, with friction of their own."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPlanar(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), "base")
     model.gravity.linear = np.array([0.0, -GRAVITY, 0.0])
     scene = pc.Scene(model)
     line = scene.add_contour("line", pc.Line())
@@ -229,11 +227,7 @@ def test_redundant_bilateral_contacts_share_in_any_order():
 
 def ball_held_twice(held, pressed):
     """A ball that slides and spins on a floor, which a bilateral and a unilateral contact keep it on at one point."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), "ball"))
     contours = scene.add_contour("ball", pc.Sphere(0.1), "ball"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("held", *contours, friction=held, bilateral=True, side=1)
     scene.add_contact("pressed", *contours, friction=pressed, side=1)

@@ -11,21 +11,12 @@ import pinocchio as pin
 import pytest
 from reference import build
 from scipy.special import ellipj, ellipk
+from shared import body_scene
 
 import pincontact as pc
 
 G = 9.81
 TIGHT = {"rtol": 1e-12, "atol": 1e-14}
-
-
-def body_scene(joint, mass, inertia=(1.0, 1.0, 1.0), gravity=(0.0, 0.0, -G)):
-    """One body on one joint; frame "body" at its centre of mass. inertia: principal moments in kg m^2."""
-    model = pin.Model()
-    model.gravity.linear = np.array(gravity)
-    index = model.addJoint(0, joint, pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(index, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), pin.SE3.Identity())
-    model.addBodyFrame("body", index, pin.SE3.Identity(), 0)
-    return pc.Scene(model)
 
 
 def ball_scene(radius, mass, surface, friction, side=None, placement=None, motion=None):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calling import from_python
+from shared import rotation
 
 from pincontact import linalg
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
@@ -70,11 +71,6 @@ def check(delassus, b, mu, solution, accuracy=1e-10):
 
 def skew(r):
     return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
-
-
-def rotation(rng):
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
 
 
 def feet(rng, contacts):

@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
+import random_contacts
 from calling import from_python
 from scipy.interpolate import BSpline, make_interp_spline
+from shared import kinds_of
 
 import pincontact.contours as pc
 from pincontact.contours import charts as chart_kernels
@@ -109,6 +111,19 @@ def test_cycloid_keeps_its_digits_at_the_bottom():
     # y = R (1 - cos u) is 2e-16 there: a difference would have no digits left.
     u = 2e-8
     assert pc.Cycloid(1.0).point(u)[1] == pytest.approx(u * u / 2, rel=1e-15)
+
+
+def test_every_kind_is_in_the_tables_of_the_tests():
+    closed = {type(contour).__name__ for contour, *_ in (*CURVES.values(), *SURFACES.values())}
+    of_functions_or_data = {
+        *("HeightField", "ParametricCurve", "ParametricSurface", "Point", "SplineCurve", "SplineSurface"),
+        "SurfaceOfRevolution",
+    }
+    missing = kinds_of(pc.Contour) - closed - of_functions_or_data
+    assert not missing, f"CURVES and SURFACES lack {missing}"
+    random = {type(make(1.0)).__name__ for table in random_contacts.TABLES.values() for make in table.values()}
+    missing = kinds_of(pc.Contour) - random - {"Point"}
+    assert not missing, f"the tables of random_contacts.py lack {missing}"
 
 
 def ellipsoid(a, b, c, chart=0):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from shared import rotation
 
 from pincontact.dynamics import directions
 from pincontact.dynamics.directions import align_slips, freeze_slip, slip_direction
@@ -46,7 +47,7 @@ class Sliding:
         self.contact_int[:, [TANGENTS, FROZEN, ANISOTROPIC]] = 2, 0, int(stretched)
         self.contact_real[:, [SCALING_11, SCALING_12, SCALING_22]] = 1.3, 0.2, 0.8
         self.shape = np.array([[1.3, 0.2], [0.2, 0.8]]) if stretched else np.eye(2)
-        self.basis = np.array([turned(rng) for _ in range(n)])
+        self.basis = np.array([rotation(rng) for _ in range(n)])
         self.slip = np.zeros((n, 3))
         self.rows = rng.normal(size=(n, 3, nv))
         self.factor = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(rng.uniform(0.7, 1.5, nv))
@@ -71,12 +72,6 @@ class Sliding:
         for i in range(len(self.limits)):
             self.contact_real[i, SLIP_RATE] = self.along(i) @ self.relative_acceleration[i, :2]
         return self.status
-
-
-def turned(rng):
-    """A basis (t1, second, n) with n = t1 x second."""
-    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return basis * np.linalg.det(basis)
 
 
 @SEEDS

@@ -206,10 +206,16 @@ def test_classes(thing):
     assert set(listed(thing, "Attributes")) <= {name for base in family for name in attributes(base)}
 
 
-def test_examples_run(monkeypatch):
-    """Those of all modules with public names, in the folder that has the files they open."""
+MODULES = [importlib.import_module(name) for name in sorted({thing.__module__ for thing in NAMES.values()})]
+
+
+def test_examples_are_found():
+    found = [test for module in MODULES for test in doctest.DocTestFinder().find(module)]
+    assert sum(len(test.examples) for test in found) > 150
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
+def test_examples_run(module, monkeypatch):
+    """In the folder that has the files they open."""
     monkeypatch.chdir(Path(__file__).parents[1])
-    modules = sorted({thing.__module__ for thing in NAMES.values()})
-    results = {name: doctest.testmod(importlib.import_module(name)) for name in modules}
-    assert not [name for name, result in results.items() if result.failed]
-    assert sum(result.attempted for result in results.values()) > 150  # they are found
+    assert not doctest.testmod(module).failed

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared import kinds_of
 
 import pincontact as pc
 
@@ -181,9 +182,7 @@ def test_scene_files_are_described(tmp_path):
             if kind == "HeightField":
                 found |= known("[contours.c]\nkind = 'HeightField'\nz = []")
             assert found == own | keys["contours.NAME"], kind
-    shapes = {name for name in pc.__all__ if isinstance(kind := getattr(pc, name), type)}
-    shapes = {name for name in shapes if issubclass(getattr(pc, name), (pc.Contour, pc.Motion))}
-    assert described == shapes - {"Contour", "Motion"}
+    assert described == kinds_of(pc.Contour) | kinds_of(pc.Motion)
 
 
 def test_reference_lists_all_public_names():
@@ -196,10 +195,37 @@ def test_reference_lists_all_public_names():
     assert len(listed) == len(set(listed))
 
 
-def test_public_names_are_listed():
+def test_the_readme_lists_public_names():
     section = re.search(r"## The public names(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)
     missing = [name for name in pc.__all__ if f"`{name}`" not in section[1]]
     assert not missing
+
+
+def test_documents_list_every_kind():
+    """Contours and friction laws, where their parameters are."""
+    contours, laws = kinds_of(pc.Contour), kinds_of(pc.FrictionLaw)
+    for file, names, form in (
+        (DOCS / "conventions.md", contours, "| `{}("),
+        (DOCS / "cheat_sheet.md", contours | laws, "pc.{}"),
+        (DOCUMENTS[0], laws, "`pc.{}("),
+        (DOCS / "scene_files.md", laws - {"Coulomb", "NoSlip"}, "`{}`"),
+    ):
+        text = file.read_text(encoding="utf-8")
+        missing = {name for name in names if form.format(name) not in text}
+        assert not missing, f"{file.name} lacks {missing}"
+
+
+def test_every_kind_of_event_is_listed():
+    """What the sources announce by name, in the docstring of `Event` and in the table of events."""
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "pincontact" / "integration").glob("*.py")]
+    announced = {kind for text in sources for kind in re.findall(r'announce\([^"\n]*"(\w+)"', text)}
+    explained = set(re.findall(r'"(\w+)"', re.search(r"kind : str(.*?)\n    q :", pc.Event.__doc__, re.DOTALL)[1]))
+    table = re.search(r"\n\| `event.kind`(.*?)\n\n", (DOCS / "conventions.md").read_text(encoding="utf-8"), re.DOTALL)[
+        1
+    ]
+    listed = {kind for row in table.splitlines()[2:] for kind in re.findall(r"`(\w+)`", row.split("|")[1])}
+    assert announced and not announced - explained, f"the docstring of Event lacks {announced - explained}"
+    assert listed == explained, f"conventions.md and the docstring of Event differ by {listed ^ explained}"
 
 
 def test_paper_table_names_what_is_there():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -14,11 +15,7 @@ GRAVITY = 9.81
 
 def bead(contour, placement=None, **options):
     """A point mass of 1 kg that slides on a contour of the world without friction."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), "bead"))
     point = scene.add_contour("bead", pc.Point(), frame="bead")
     ground = scene.add_contour("ground", contour, placement=placement)
     scene.add_contact("contact", point, ground, **options)
@@ -69,11 +66,7 @@ def test_point_leaves_a_patch_and_falls():
 
 def test_a_pole_is_no_end():
     """A ball that rolls over the poles of its own charts meets no event."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), "ball"))
     ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
     floor = scene.add_contour("floor", pc.Plane())
     scene.add_contact("contact", ball, floor, friction=pc.NoSlip())
@@ -89,10 +82,7 @@ def test_a_pole_is_no_end():
 def test_cusps_and_apexes_are_ends(shape):
     """A bead runs into the cusp of a cycloid, or into a cone's apex, where the location's rates grow without bound: the
     run ends with the edge that it is, on the constraints."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), "bead")
     model.gravity.linear = np.zeros(3)
     scene = pc.Scene(model)
     contour, u, along, sign, pattern = {

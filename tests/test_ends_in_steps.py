@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -15,11 +16,7 @@ IDENTITY = [0.0, 0.0, 0.0, 1.0]
 
 
 def free_body(name, mass=1.0, inertia=(0.004, 0.004, 0.004)):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), pin.SE3.Identity())
-    model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
-    return model
+    return one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag(inertia)), name)
 
 
 def ball_scene(table, radius=0.1, mu=0.5, restitution=0.0, placement=None):
@@ -32,11 +29,7 @@ def ball_scene(table, radius=0.1, mu=0.5, restitution=0.0, placement=None):
 
 
 def bead_scene(wire, placement=None, friction=None):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), "bead"))
     bead = scene.add_contour("bead", pc.Point(), "bead")
     scene.add_contact(
         "c", bead, scene.add_contour("wire", wire, placement=placement), bilateral=True, friction=friction
@@ -215,10 +208,7 @@ def passer_by(seed):
     balls = [pc.Circle(radius)] if planar else [pc.Sphere(radius), pc.Ellipsoid(radius, 0.8 * radius, 0.6 * radius)]
     shape = [pc.Point(), *balls][rng.integers(1 + len(balls))]
     if planar:
-        model = pin.Model()
-        joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "body")
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-        model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+        model = one_body(pin.JointModelPlanar(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)))
     else:
         model = free_body("body", inertia=(0.01, 0.01, 0.01))
     scene = pc.Scene(model)

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_motions import random_motion
+from shared import one_body
 from test_moreau import ball_scene, upright
 
 import pincontact as pc
@@ -34,7 +35,7 @@ def test_steps_that_make_energy_are_refused():
     times its energy."""
     _, motion = random_motion(730099)
     exact = pc.simulate(motion.scene, motion.state(), motion.duration)
-    for step in (1e-3, 5e-4, 1e-4):
+    for step in (1e-3, 1e-4):
         run = pc.simulate(motion.scene, motion.state(), motion.duration, method="Moreau", dt=step)
         if step > 1e-4:
             assert run.status == -9, run.message
@@ -67,10 +68,7 @@ def test_energy_that_something_gives_is_not_told():
 @pytest.mark.parametrize("mu", [0.2, 0.4, 3.0**-0.5, 0.7])
 def test_round_off_is_no_energy(mu):
     """A block on a slope whose friction just holds it: what it moves by is 1e-16 m, and its energy is of one sign."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "block")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), "block")
     scene, slope = pc.Scene(model), pin.utils.rotate("y", np.arctan(mu))
     floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(slope, np.zeros(3)))
     for k, (x, y) in enumerate(((0.1, 0.1), (0.1, -0.1), (-0.1, 0.0))):

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from calling import from_python
 from made_systems import made_system
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
@@ -281,11 +282,7 @@ def test_what_resists_and_what_it_bears():
 
 
 def slider():
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "slider")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    return model
+    return one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.eye(3)), "bead")
 
 
 def bead(surface, location, height=0.0):
@@ -308,11 +305,7 @@ def test_distances_from_the_ends_of_a_surface(x, y, distance):
 
 def rods():
     """A rod that slides and turns above another, both along x at first."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "flyer")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), np.eye(3)), "rod"))
     upper, lower = scene.add_contour("upper", pc.Line(), frame="rod"), scene.add_contour("lower", pc.Line())
     scene.add_contact("c", upper, lower, side=1)
     q = np.array([0.2, 0.1, 0.5, 0.0, 0.0, math.sin(0.4), math.cos(0.4)])

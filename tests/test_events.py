@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from reference import build
+from shared import kinds, one_body
 
 import pincontact as pc
 from pincontact.integration.crossings import ENDS
@@ -22,12 +23,8 @@ RADIUS = 0.1
 
 
 def ball_scene(friction=None, restitution=0.0, mass=0.5):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     moment = 0.4 * mass * RADIUS**2
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), moment * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), moment * np.eye(3)), "ball"))
     ball, floor = scene.add_contour("ball", pc.Sphere(RADIUS), "ball"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("c", ball, floor, friction=friction, restitution=restitution)
     return scene
@@ -36,10 +33,6 @@ def ball_scene(friction=None, restitution=0.0, mass=0.5):
 def thrown(scene, height, v=(0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0)):
     q = np.array([0.0, 0.0, RADIUS + height, 0.0, 0.0, 0.0, 1.0])
     return scene.initial_state(q, np.array([*v, *omega]), free=["c"])
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 # ------------------------------------------------------------------------------------------------- flight and impact
@@ -297,11 +290,7 @@ def test_a_disk_over_a_pole(rtol):
 def test_what_opens_within_the_tolerance_has_not_opened(rtol, excess):
     """A point runs round inside a ring, hardly fast enough for it: at its top the force is as good as zero, and what
     a tolerance loses of the speed would let it hop by less than gaps are known."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(joint, pin.Inertia(0.5, np.zeros(3), np.eye(3) * 1e-3), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(0.5, np.zeros(3), np.eye(3) * 1e-3), "bead"))
     ring = scene.add_contour(
         "ring", pc.Cylinder(1.0), placement=pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
     )
@@ -431,11 +420,7 @@ def test_looks_find_what_evaluations_find():
 def test_bead_reaches_the_end_of_its_wire():
     """A bilateral contact cannot go on there: the run ends, at that time."""
     slope, length = 0.5, 0.8
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(joint, pin.Inertia(0.2, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(0.2, np.zeros(3), np.zeros((3, 3))), "bead"))
     bead = scene.add_contour("bead", pc.Point(), "bead")
     wire = scene.add_contour(
         "wire", pc.Line((-1.0, length)), placement=pin.SE3(pin.utils.rotate("y", slope), np.zeros(3))

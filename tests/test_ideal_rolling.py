@@ -13,6 +13,7 @@ import pytest
 from reference import build
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
+from shared import kinds, one_body
 from test_moreau import G, body_scene, random_scene
 
 import pincontact as pc
@@ -21,10 +22,6 @@ from pincontact.integration.penetration import Penetration
 
 FREE, STICK, SLIPPING = -1, 1, 2
 HALF, PUSH = 0.5, 2.0
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 def rod_scene(law, tangents):
@@ -323,11 +320,7 @@ def thrown_body(seed):
         place, height = pin.SE3(np.eye(3), np.array([a, 0.0, 0.0])), -a * rotation[2, 0]
     else:
         shape, moments, height = pc.Torus(a, 0.2 * a), disk, height + 0.2 * a
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, com, np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, com, np.diag(moments))))
     grounds = [
         (pc.Plane(), 0.0),
         (pc.Sphere(2.0), -2.0),

@@ -132,7 +132,7 @@ def test_what_all_solutions_share():
     The first level presses onto a ray of a cone, an apex and a row's end, or onto nothing, at random.
     """
     counts: Counter[str] = Counter()
-    for seed in range(50):
+    for seed in range(36):
         rng = np.random.default_rng(seed)
         n = 10
         region, target = random_region(rng, n, cones=4, rows=4), 3.0 * rng.normal(size=n)

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -56,10 +57,7 @@ def test_contact_that_rebounds_where_a_joint_ends(shift, options):
     """A ball on a vertical slider whose lower end is where it touches the floor: both strike at once, and the ball
     leaves with e times its speed, whichever comes first by rounding."""
     radius, restitution, height = 0.1, 0.5, 0.05
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slider")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPZ(), pin.Inertia.FromSphere(1.0, radius), "ball")
     model.lowerPositionLimit, model.upperPositionLimit = np.array([radius + shift]), np.array([1.0])
     scene = pc.Scene(model)
     floor, ball = scene.add_contour("floor", pc.Plane()), scene.add_contour("ball", pc.Sphere(radius), "ball")

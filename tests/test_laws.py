@@ -6,10 +6,19 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import random_scenes
+from shared import kinds_of, one_body
+from test_unprojected import SLIDING
 
 import pincontact as pc
 from pincontact.errors import FrictionError
 from pincontact.friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
+
+
+def test_every_law_is_listed_in_the_tables_of_the_tests():
+    for table, laws in (("SLIDING", SLIDING.values()), ("LAWS of random_scenes.py", random_scenes.LAWS)):
+        missing = kinds_of(FrictionLaw) - {"NoSlip"} - {type(law).__name__ for law in laws}
+        assert not missing, f"{table} lacks {missing}"
 
 
 def test_coulomb_without_a_static_coefficient_sticks_up_to_mu():
@@ -134,11 +143,7 @@ class OwnOnset(Own):
 
 
 def sliding_point(law):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "slider")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), np.eye(3)), "block"))
     point, floor = scene.add_contour("point", pc.Point(), "block"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("foot", point, floor, friction=law)
     return scene

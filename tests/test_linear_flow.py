@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from random_scenes import resting_chain
 from scipy.linalg import expm
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
@@ -67,12 +68,8 @@ def check_flow(scene, state, tau, duration=0.2, step=STEP):
 
 
 def block(law, feet):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.02, 0.025]))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia, "block", joint="joint"))
     floor = scene.add_contour("floor", pc.Plane())
     for i, (x, y) in enumerate(feet):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.1])))
@@ -130,10 +127,7 @@ def test_slow_slip(law, speed):
 
 
 def ball(law, motion=None):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), "ball", joint="joint")
     scene = pc.Scene(model)
     sphere = scene.add_contour("ball", pc.Sphere(0.1), "ball")
     scene.add_contact("c", sphere, scene.add_contour("floor", pc.Plane(), motion=motion), friction=law)

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.linalg import expm
+from shared import one_body
 
 import pincontact as pc
 
@@ -182,10 +183,7 @@ def test_upright_disk(spin):
 def test_upright_disk_of_any_size(radius, mass):
     """The same formula from a millimetre to a kilometre; relative, as steps of differences go with the size."""
     thin, axial = 0.25 * mass * radius**2, 0.5 * mass * radius**2
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root_joint")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag([thin, thin, axial])), pin.SE3.Identity())
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag([thin, thin, axial])), "disk")
     scene = pc.Scene(model)
     rim, floor = scene.add_contour("rim", pc.Circle(radius), "disk"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("c", rim, floor, friction=pc.NoSlip())
@@ -303,12 +301,9 @@ def test_ball_in_an_ellipsoidal_bowl():
 def test_disk_in_a_circular_bowl(friction, share):
     """A planar mechanism, pattern 2C-2C: frequency^2 = g / ((R - r) (1 + I / m r^2)), I = 0 if it slides."""
     radius, bowl, mass = 0.2, 1.0, 0.7
-    model = pin.Model()
-    model.gravity.linear = np.array([0.0, -G, 0.0])
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
     inertia = np.diag([1.0, 1.0, 0.5 * mass * radius**2])
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPlanar(), pin.Inertia(mass, np.zeros(3), inertia), "disk")
+    model.gravity.linear = np.array([0.0, -G, 0.0])
     scene = pc.Scene(model)
     rim = scene.add_contour("rim", pc.Circle(radius), "disk")
     wall = scene.add_contour("wall", pc.Circle(bowl))
@@ -403,11 +398,7 @@ def test_contact_that_begins_to_slip():
 
 def test_nothing_is_left_of_a_rest_that_symmetries_explain():
     """A block that sticks on four corners: every deviation is another place on the floor."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), "block"))
     floor = scene.add_contour("floor", pc.Plane())
     for i, (x, y) in enumerate([(0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1)]):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.1])))

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from differential import Runs
 from random_motions import random_motion
+from shared import one_body
 
 import pincontact as pc
 
@@ -20,12 +21,8 @@ def body_on_feet(points, mu, mass=1.0, inertia=None):
     """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor; mu: of all, of each,
     or laws."""
     laws = mu if isinstance(mu, list) else np.broadcast_to(mu, len(points)).tolist()
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     inertia = 0.01 * np.eye(3) if inertia is None else inertia
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
-    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), inertia), "base"))
     floor = scene.add_contour("floor", pc.Plane())
     for i, point in enumerate(points):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(point)))
@@ -214,12 +211,8 @@ LAWS = {
 
 def table_that_slides(order, law, height, v=(0.8, 0.3, 0, 0, 0, 4.0), **options):
     """Where a body ends that slides and spins on four feet, contacts made in this order."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.012, 0.02]))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia, "base"))
     floor = scene.add_contour("floor", pc.Plane())
     points = [(0.02 + x, 0.01 + y, -height) for x in (0.1, -0.1) for y in (0.1, -0.1)]
     for i in order:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pinocchio as pin
+from shared import one_body
 
 import pincontact as pc
 
@@ -43,11 +44,8 @@ def test_torus_rolls_in_an_ellipsoid():
 
 
 def test_spline_wheel_on_spline_ground():
-    model = pin.Model()
+    model = one_body(pin.JointModelPlanar(), pin.Inertia(1.0, np.zeros(3), 0.02 * np.eye(3)), "wheel")
     model.gravity.linear = np.array([0.0, -9.81, 0.0])
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "wheel")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.02 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("wheel", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     angles = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
     radius = 0.2 + 0.01 * np.cos(3.0 * angles)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import kinds
 from test_closed_forms import SLOPE
 from test_closed_forms import block_scene as inclined_block
 from test_moreau import ball_scene, body_scene, joint_scene, upright
@@ -29,10 +30,6 @@ def feet_scene(points, mu, restitution=0.0, mass=2.0, moments=(0.02, 0.03, 0.04)
         foot = scene.add_contour(f"p{i}", pc.Point(), "body", pin.SE3(np.eye(3), np.array(place)))
         scene.add_contact(f"{i}", foot, floor, friction=pc.Coulomb(mu), restitution=restitution)
     return scene
-
-
-def kinds(run, *which):
-    return [event.kind for event in run.events if not which or event.kind in which]
 
 
 def simulated(scene, state, duration, **options):

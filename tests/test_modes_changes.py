@@ -14,7 +14,7 @@ import pytest
 from calling import from_python, record_of
 from made_systems import made_system
 from scipy.optimize import nnls
-from test_directions_parts import turned
+from shared import rotation
 from test_modes_parts import made
 
 from pincontact.dynamics import contact_modes, equations, modes, redistribution
@@ -95,7 +95,7 @@ class Items:
         self.joint_int[:, JOINT_V] = np.arange(ng) + 1
         self.event_functions, self.force = np.ones((n, EVENTS_PER_CONTACT)), rng.normal(size=(n, 3))
         self.rows, self.bias = rng.normal(size=(n, 3, nv)), rng.normal(size=(n, 3))
-        self.basis = np.array([turned(rng) for _ in range(n)])
+        self.basis = np.array([rotation(rng) for _ in range(n)])
         self.slip = rng.normal(size=(n, 3))
         self.v, self.acceleration, self.free_acceleration = rng.normal(size=(3, nv))
         self.factor = np.eye(nv) + 0.2 * np.tril(rng.normal(size=(nv, nv)))

@@ -9,6 +9,7 @@ import pytest
 import scipy
 from calling import from_python
 from made_systems import made_system
+from shared import one_body
 
 import pincontact as pc
 from pincontact.constraints.kinematics import basis_at_contact
@@ -29,11 +30,7 @@ conditioning_of = from_python(conditioning, SYSTEM)
 
 
 def free_body(joint=None):
-    model = pin.Model()
-    index = model.addJoint(0, joint or pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
-    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("body", index, pin.SE3.Identity(), 0)
-    return model
+    return one_body(joint or pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)))
 
 
 def system_of(shape, ground, q, joint=None, placement=None, side=1, motion=None):

@@ -17,6 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from random_contacts import PATTERNS, PLANAR, START, RandomContact, _moved, contacts
 from scipy.special import ellipeinc
+from shared import one_body
 
 import pincontact as pc
 from pincontact.geometry.frames import contact_frame, dual_basis
@@ -27,7 +28,7 @@ DIFFERENCES = 1e-8
 # Products of some ten numbers of order one, divided by at most the conditioning.
 ROUNDING = 1e-11
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=6, deadline=None, derandomize=True, database=None)
 # Table 1: equations m, location parameters k; constraints nu = m - k.
 TABLE_1 = {
     "P-2C": (2, 1),
@@ -312,11 +313,7 @@ def test_location_stays_put_along_runs(pattern):
 def test_holonomy_of_a_rolling_ball():
     """Rolled around a rectangle, a ball comes back to its place turned: no function of q alone can forbid that."""
     radius, sides = 0.1, ((0.12, 0.0), (0.0, 0.07), (-0.12, 0.0), (0.0, -0.07))
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia.FromSphere(1.0, radius), "ball", joint="root"))
     scene.add_contour("ball", pc.Sphere(radius), "ball")
     scene.add_contour("floor", pc.Plane())
     scene.add_contact("c", "ball", "floor", friction=pc.NoSlip())
@@ -367,10 +364,7 @@ def test_a_guided_wheel_is_holonomic():
 def test_planar_rolling_is_an_arc_length():
     """2C-2C: what an ellipse rolls over on a line is the length of its own arc, however fast and in whatever sense."""
     a, b = 0.4, 0.25
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.05 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ellipse", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPlanar(), pin.Inertia(1.0, np.zeros(3), 0.05 * np.eye(3)), "ellipse", joint="root")
     model.gravity.linear = np.array([0.0, -9.81, 0.0])
     scene = pc.Scene(model)
     scene.add_contour("ellipse", pc.Ellipse(a, b), "ellipse")

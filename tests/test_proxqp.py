@@ -9,17 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import reference
+from shared import rotation
 from test_moreau import block_scene
 
 import pincontact as pc
 from pincontact.friction.loads import Loads, LoadSolver
 from pincontact.friction.proxqp import ConePrograms
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
-
-
-def rotation(rng):
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
 
 
 def feet(rng, contacts):
@@ -348,7 +344,9 @@ def test_of_several_solutions_of_an_impact_it_finds_the_usual_one():
 
 
 WITH_FRICTION = [
-    name for name in reference.NAMES if any(c.friction is not None for c in reference.build(name)[0].contacts.values())
+    name
+    for name, scene in reference.SPECIFICATIONS.items()
+    if any(map(reference.friction_of, scene["contacts"], scene["mode0"]))
 ]
 
 

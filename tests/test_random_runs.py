@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_contacts import PATTERNS, RandomContact, is_line_contact, motions_of, names_of
+from shared import one_body
 from test_moreau import random_scene
 
 import pincontact as pc
@@ -77,11 +78,7 @@ def thrown_body(seed):
         shape = pc.Ellipsoid(*axes) if seed % 3 == 1 else pc.Sphere(axes[0])
         moments = 0.2 * mass * (np.sum(axes**2) - axes**2)
         height = float(np.linalg.norm(axes * rotation[2]))
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag(moments))))
     body, floor = scene.add_contour("body", shape, "body"), scene.add_contour("floor", ground(rng))
     scene.add_contact("c", body, floor, friction=pc.Coulomb(mu))
     q = np.array([0.0, 0.0, height, *pin.Quaternion(rotation).coeffs()])
@@ -90,7 +87,7 @@ def thrown_body(seed):
 
 # Ends of 3D slip at which the direction turns fast are where steps could stall, starts of slip on a nearly flat disk
 # where energy could be made.
-@pytest.mark.parametrize("block", range(4))
+@pytest.mark.parametrize("block", range(2))
 def test_slip_and_stick_of_thrown_bodies(block):
     """Many ends and starts of slip: the run goes on, no energy is won, forces stay in their cones."""
     for seed in range(10 * block, 10 * block + 10):
@@ -116,7 +113,7 @@ def test_slip_and_stick_of_thrown_bodies(block):
 
 def test_impacts_of_several_contacts():
     """Two bodies with up to six contacts of all laws fall on a floor: nothing hangs, every impact is in the account."""
-    for seed in range(25):
+    for seed in range(15):
         scene, state = random_scene(np.random.default_rng(seed))
         run = pc.simulate(scene, state, 0.6, energies=True, max_steps=5000)
         assert run.status == 0, (seed, run.message)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
+from shared import one_body
 from turning_ball import ball
 
 import pincontact as pc
@@ -87,10 +88,9 @@ def test_viscous_friction_on_a_slope(planar, mu, method):
 def test_viscous_bead_on_a_helix():
     """A point on a spatial curve (bilateral, two normals): the speed along the wire is that on a slope."""
     radius, pitch, viscous = 0.3, 0.4, 0.5
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
+    model = one_body(
+        pin.JointModelTranslation(), pin.Inertia(MASS, np.zeros(3), np.zeros((3, 3))), "bead", joint="joint"
+    )
     scene = pc.Scene(model)
     bead = scene.add_contour("bead", pc.Point(), "bead")
     wire = scene.add_contour("wire", pc.Helix(radius, pitch))

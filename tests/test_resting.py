@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.optimize import brentq
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration import events
@@ -28,12 +29,8 @@ FEET = [(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)]
 
 
 def body(**options):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
     inertia = pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
     return scene, scene.add_contour("floor", pc.Plane(), **options)
 
 
@@ -147,7 +144,7 @@ def test_a_block_slides_when_the_load_says(case):
     assert abs(run.q[-1, 0] - way) <= 100.0 * options(case)["rtol"] * max(1.0, abs(way))
 
 
-@pytest.mark.parametrize("case", range(14))
+@pytest.mark.parametrize("case", range(7))
 def test_a_dry_joint_slides_when_the_load_says(case):
     rng = np.random.default_rng(100 + case)
     dry, omega, duration = rng.uniform(0.5, 5.0), 10.0 ** rng.uniform(0.0, 1.5), 8.0
@@ -454,7 +451,7 @@ def _chain(rng, n):
     return pc.Scene(model)
 
 
-@pytest.mark.parametrize("case", range(13, 40))
+@pytest.mark.parametrize("case", range(13, 40, 2))
 def test_coupled_stops_come_to_rest(case):
     """Sliders on each other, pressed onto their limits: each impact lifts the others, by less and less."""
     rng = np.random.default_rng(case)

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared import kinds_of
 
 import pincontact as pc
 from pincontact.expressions import FUNCTIONS, compiled, evaluate
@@ -267,11 +268,8 @@ def test_contour_kinds(tmp_path, body, make):
 
 
 def test_every_kind_of_contour_can_be_written():
-    kinds = {
-        name for name in pc.__all__ if isinstance(getattr(pc, name), type) and issubclass(getattr(pc, name), pc.Contour)
-    }
-    written = {make().name for _, make in CONTOURS}
-    assert kinds - written - {"Contour"} == {"SplineSurface"}
+    missing = kinds_of(pc.Contour) - {make().name for _, make in CONTOURS} - {"SplineSurface"}
+    assert not missing, f"CONTOURS lacks {missing}"
 
 
 def test_spline_surface(tmp_path):

@@ -1,6 +1,7 @@
 """Bodies that touch at a second place: told where no contact is declared for it, and right where one is. Places are
 computed independently, from dense samples of the waves."""
 
+import functools
 import itertools
 import math
 
@@ -8,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from shared import one_body
 from test_open_contacts import AMPLITUDE, LENGTH, G, body, fall, touches, waves
 from test_search_parts import system_of
 
@@ -46,6 +48,7 @@ def depth(run):
     return (AMPLITUDE * np.sin(2.0 * np.pi * x / LENGTH) - run.q[:, 2:3] + RADIUS * np.cos(angle)).max(axis=1)
 
 
+@functools.cache
 def resting_place():
     """Height of the centre and slope (rad) at both places, of a disk across the trough."""
     across = np.linspace(0.0, RADIUS, 2_000_001)
@@ -54,15 +57,14 @@ def resting_place():
     return float(centre[i]), math.asin(across[i] / RADIUS)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize(("shape", "mu"), [(SHAPES[0], 0.0), (SHAPES[1], 0.6)], ids=["ball", "ring"])
-def test_a_second_place_is_told(shape, mu, method):
+def test_a_second_place_is_told(shape, mu):
     """A disk goes down a wave into a trough that is narrower; what the run has is right, whenever it is to end."""
     scene = scene_of(shape, mu=mu)
     state = scene.initial_state(at(shape, 0.2, 0.25))
     pair = scene_of(shape, contacts=2, mu=mu)
     touch = touches(pc.simulate(pair, pair.initial_state(at(shape, 0.2, 0.25), free=["c1"]), 0.4, rtol=1e-9))[0]
-    for after in (1e-3, 0.1):
+    for method, after in (("DOP853", 1e-3), ("Moreau", 1e-3), ("DOP853", 0.1)):
         run = pc.simulate(scene, state, touch + after, method=method)
         assert run.status == -3 and "second place" in run.message, run.message
         assert run.t[-1] <= touch + 2e-3 and run.t[-1] > touch - 0.05
@@ -71,7 +73,8 @@ def test_a_second_place_is_told(shape, mu, method):
         assert abs(told - touch) < (3e-3 if method == "Moreau" else 1e-3)
         # in a step of 1 ms; events find it to a thousandth of the radius
         assert depth(run).max() < (2e-3 if method == "Moreau" else 2e-4)
-    assert pc.simulate(scene, state, touch - 2e-3, method=method).status == 0
+    for method in ("DOP853", "Moreau"):
+        assert pc.simulate(scene, state, touch - 2e-3, method=method).status == 0
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
@@ -129,25 +132,21 @@ def test_second_contacts_strike(method, restitution):
 
 
 def test_both_kinds_of_methods_settle_alike():
-    """From above, both contacts open, into the trough, where ever shorter hops from slope to slope end at rest."""
+    """From above, both contacts open, into the trough, where a ball's ever shorter bounces from slope to slope end at
+    rest. Rings: in the tests before and after this one."""
     height, _ = resting_place()
-    for shape, mu in itertools.product(SHAPES, [0.0, 0.6]):
-        if isinstance(shape, pc.Circle) and mu == 0.0:
-            # which tips over
-            continue
-        scene = scene_of(shape, contacts=2, mu=mu)
-        state = scene.initial_state(at(shape, 0.2, 0.4), free=["c0", "c1"])
-        runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
-        for run in runs:
-            assert run.status == 0, run.message
-            np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
-            assert depth(run).max() < 1e-4
-        first = [touches(run)[0] for run in runs]
-        assert abs(first[0] - first[1]) < 1e-5
+    scene = scene_of(SHAPES[0], contacts=2, mu=0.0)
+    state = scene.initial_state(at(SHAPES[0], 0.2, 0.4), free=["c0", "c1"])
+    runs = [pc.simulate(scene, state, 1.2, method=method) for method in ("DOP853", "Moreau")]
+    for run in runs:
+        assert run.status == 0, run.message
+        np.testing.assert_allclose(run.q[-1][[0, 2]], [TROUGH, height], atol=1e-5)
+        assert depth(run).max() < 1e-4
+    first = [touches(run)[0] for run in runs]
+    assert abs(first[0] - first[1]) < 1e-5
 
 
-@pytest.mark.parametrize("free", [["c0"], ["c1"], ["c0", "c1"]], ids="-".join)
-@pytest.mark.parametrize("shape", SHAPES, ids=["ball", "ring"])
+@pytest.mark.parametrize(("shape", "free"), [(SHAPES[0], ["c0"]), (SHAPES[1], ["c1"]), (SHAPES[1], ["c0", "c1"])])
 def test_whatever_order_contours_are_named_in(shape, free):
     """Two contacts of one pair, the second with its contours the other way round."""
     height, _ = resting_place()
@@ -276,10 +275,7 @@ def test_what_touches_once_has_no_second_place():
 
 
 def planar_once(curve, radius, centre):
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
-    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelPlanar(), pin.Inertia.Random(), "disk")
     scene = pc.Scene(model)
     scene.add_contour("disk", pc.Circle(radius), frame="disk")
     scene.add_contour("curve", curve)
@@ -342,7 +338,7 @@ def inside(states, shape, radius):
 @pytest.mark.parametrize("kind", ["trench", "ridge", "step"])
 def test_points_over_narrow_places(kind, method):
     """Thrown along grounds with and without ends."""
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         width = rng.uniform(0.01, 0.05)
         height = rng.uniform(0.02, 0.05) * (-1.0 if kind == "trench" else 1.0)
@@ -360,29 +356,29 @@ def test_points_over_narrow_places(kind, method):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-@pytest.mark.parametrize("kind", ["trench", "pit", "ridge", "bump", "step"])
-def test_balls_over_narrow_places(kind, method):
-    """Thrown along a flat ground at places narrower than they are, which few samples of all of it show."""
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        radius, width = rng.uniform(0.08, 0.15), rng.uniform(0.01, 0.05)
-        height = rng.uniform(0.02, 0.05) * (-1.0 if kind in ("trench", "pit") else 1.0)
-        ground = narrow(kind, width, height)
-        scene = pc.Scene(body(pc.Sphere(radius)))
-        scene.add_contour("ball", pc.Sphere(radius), frame="body")
-        scene.add_contour("ground", pc.HeightField(ground, domain=None if seed else ((-2.0, 2.0), (-2.0, 2.0))))
-        names = ["c0", "c1", "c2"]
-        for name in names:
-            scene.add_contact(name, "ball", "ground", friction=pc.Coulomb(0.5))
-        q = lying(-0.3, 0.0, radius + rng.uniform(0.002, 0.02))
-        state = scene.initial_state(q, [rng.uniform(1.0, 3.0), 0.1 * rng.normal(), 0.0, 0.0, 0.0, 0.0], free=names)
-        run = pc.simulate(scene, state, 0.3, method=method)
-        # crests of a millimetre's radius are too sharp for steps of as many
-        told = method == "Moreau" and height > 0.0 and run.status in (-3, -9)
-        assert run.status == 0 or told, (seed, run.message)
-        # before such a refusal some steps of 3 mm at most went in
-        states = run.q[:-4] if told else run.q
-        assert inside(states, ground, radius) < (1e-3 if method == "Moreau" else 1e-5), seed
+@pytest.mark.parametrize(("kind", "seed"), [("trench", 0), ("pit", 1), ("ridge", 1), ("bump", 0), ("step", 0)])
+def test_balls_over_narrow_places(kind, seed, method):
+    """Thrown along a flat ground, with and without ends, at places narrower than they are, which few samples of all of
+    it show."""
+    rng = np.random.default_rng(seed)
+    radius, width = rng.uniform(0.08, 0.15), rng.uniform(0.01, 0.05)
+    height = rng.uniform(0.02, 0.05) * (-1.0 if kind in ("trench", "pit") else 1.0)
+    ground = narrow(kind, width, height)
+    scene = pc.Scene(body(pc.Sphere(radius)))
+    scene.add_contour("ball", pc.Sphere(radius), frame="body")
+    scene.add_contour("ground", pc.HeightField(ground, domain=None if seed else ((-2.0, 2.0), (-2.0, 2.0))))
+    names = ["c0", "c1", "c2"]
+    for name in names:
+        scene.add_contact(name, "ball", "ground", friction=pc.Coulomb(0.5))
+    q = lying(-0.3, 0.0, radius + rng.uniform(0.002, 0.02))
+    state = scene.initial_state(q, [rng.uniform(1.0, 3.0), 0.1 * rng.normal(), 0.0, 0.0, 0.0, 0.0], free=names)
+    run = pc.simulate(scene, state, 0.3, method=method)
+    # crests of a millimetre's radius are too sharp for steps of as many
+    told = method == "Moreau" and height > 0.0 and run.status in (-3, -9)
+    assert run.status == 0 or told, run.message
+    # before such a refusal some steps of 3 mm at most went in
+    states = run.q[:-4] if told else run.q
+    assert inside(states, ground, radius) < (1e-3 if method == "Moreau" else 1e-5)
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
@@ -420,7 +416,8 @@ def rolls(seed, ground, radius, method):
 def test_balls_roll_onto_narrow_places(kind, method):
     """What is narrower than a ball, on a ground of hundreds of its radii, touches it before it is inside."""
     told = 0
-    for seed in range(4):
+    # the first trenches are too narrow to stop a ball
+    for seed in (2, 3) if kind == "trench" else (0, 1):
         rng = np.random.default_rng(seed)
         radius = rng.uniform(0.05, 0.3)
         width, up = rng.uniform(0.07, 0.4) * radius, 1.0 if kind in ("ridge", "bump", "step") else -1.0
@@ -431,7 +428,7 @@ def test_balls_roll_onto_narrow_places(kind, method):
         # a step of 1 ms at the speeds of these balls
         assert inside(run.q, shape, radius) < (5e-3 if method == "Moreau" else 1e-5), seed
     # stones stop all of them; past the middle of a small pit they roll around its edge
-    assert told == 4 if kind in ("ridge", "bump") else told >= (kind != "pit")
+    assert told == 2 if kind in ("ridge", "bump") else told >= (kind != "pit")
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
@@ -459,7 +456,7 @@ def test_balls_roll_on_where_hollows_are_curved_as_they_are(method):
     assert run.q[-1, 0] > -0.15 and inside(run.q, ground, radius) < 1e-3
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Moreau"])
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize("kind", ["pit", "trench"])
 def test_drops_onto_an_axis_of_symmetry(kind, method):
     """Bodies that touch at two places at the same time, or all around, go through neither."""

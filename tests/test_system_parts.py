@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 from pincontact.contacts import characteristic_length
@@ -384,10 +385,7 @@ def test_a_drive_is_asked_once_an_evaluation(contacts):
 
         return pc.CallableMotion(motion)
 
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), np.eye(3)))
     scene = pc.Scene(model)
     for speed in times:
         plate = scene.add_contour(f"plate {speed}", pc.Plane(), motion=driven(speed))

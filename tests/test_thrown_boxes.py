@@ -1,7 +1,6 @@
 """Time stepping goes on: random boxes thrown onto a floor, of all laws, restitutions and resistances to turning."""
 
 import numpy as np
-import pytest
 from thrown_boxes import thrown_box
 
 import pincontact as pc
@@ -13,7 +12,7 @@ def test_thrown_boxes():
 
     A step that is told to be too long is not when halved."""
     problems = settled = halved = 0
-    for seed in range(20):
+    for seed in range(12):
         scene, state, step = thrown_box(seed)
         run = pc.simulate(scene, state, 1.0, method="Moreau", step=step, energies=True)
         if run.status == -9:
@@ -85,14 +84,13 @@ def test_contacts_and_resistances_together():
     assert solved >= 290
 
 
-@pytest.mark.parametrize("block", range(2))
-def test_elastic_impacts_keep_the_energy(block):
+def test_elastic_impacts_keep_the_energy():
     """Frictionless boxes, e = 1: what the total energy changes in a second, some eight impacts, falls with h^2, and is
     less than 4e-4 of the kinetic energy at h = 1 ms, where the impacts of boxes that spin slowly change 1e-5."""
     changes = []
     for step in (4e-3, 1e-3, 5e-4):
         worst = total = 0.0
-        for seed in range(10 * block, 10 * block + 10):
+        for seed in range(10):
             scene, state, _ = thrown_box(seed, law=None, bounce=1.0)
             run = pc.simulate(scene, state, 1.0, method="Moreau", step=step, energies=True)
             assert run.status == 0, seed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -62,11 +63,7 @@ def test_slips_that_an_impact_sets_off_are_told(seed):
 def rolling_ball(rng):
     """A ball that resists rolling and spinning, in a bowl or on a floor, thrown and turned at random; what pushes and
     turns it changes at 0.1 s."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, RADIUS), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia.FromSphere(1.0, RADIUS), "ball"))
     ball = scene.add_contour("ball", pc.Sphere(RADIUS), "ball")
     friction = pc.Coulomb(0.5, rolling=rng.uniform(2e-3, 5e-3), spinning=rng.uniform(2e-3, 5e-3))
     bowl = bool(rng.integers(2))

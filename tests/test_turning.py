@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared import kinds, one_body
 from turning_ball import MASS, RADIUS, G, ball, on_the_floor
 
 import pincontact as pc
@@ -16,10 +17,6 @@ BILATERAL = pytest.mark.parametrize("bilateral", [False, True], ids=["unilateral
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 # what runs at these tolerances are off by: closed forms of low order, so the steps' errors are below the tolerance
 ACCURATE = 1e-9
-
-
-def kinds(run):
-    return [event.kind for event in run.events]
 
 
 # ------------------------------------------------------------------------------------------------ between events
@@ -56,12 +53,8 @@ def test_what_a_plate_that_lands_flat_does_not_roll_is_held(seed):
     """A plate rattles on four rolling feet until all are down: from then on it cannot roll, and resistance to it
     takes no energy."""
     rng = np.random.default_rng(seed)
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "plate")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag(rng.uniform(0.003, 0.02, 3)))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("plate", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia, "plate"))
     floor = scene.add_contour("floor", pc.Plane())
     for k, (x, y) in enumerate([(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)]):
         foot = scene.add_contour(f"p{k}", pc.Sphere(0.02), "plate", pin.SE3(np.eye(3), np.array([x, y, -0.1])))
@@ -359,10 +352,7 @@ def thrown(seed, law):
     rng = np.random.default_rng(seed)
     axes, mass = rng.uniform(0.1, 0.3, 3), rng.uniform(0.5, 3.0)
     moments = mass / 5.0 * (axes @ axes - axes**2)
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag(moments)), joint="joint")
     scene = pc.Scene(model)
     shape = (pc.Ellipsoid(*axes), pc.Circle(axes[0]), pc.Sphere(axes[0]))[rng.integers(3)]
     body = scene.add_contour("shape", shape, "body")

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from differential import Runs, check
 from random_motions import random_motion
+from shared import one_body
 
 import pincontact as pc
 from pincontact.friction.solve import OPEN, STICK, ContactSolver
@@ -21,11 +22,7 @@ BELOW, BESIDE = 0.4, 0.1
 
 def hinged_bar(mu):
     """A bar on a hinge whose end touches the ground; with mu > BESIDE / BELOW it jams itself, whatever lifts it."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("bar", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelRY(), pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), "bar"))
     end = pin.SE3(np.eye(3), np.array([BESIDE, 0.0, -BELOW]))
     ground = scene.add_contour("ground", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, -BELOW])))
     point = scene.add_contour("end", pc.Point(), "bar", placement=end)

@@ -27,6 +27,7 @@ from random_contacts import (
     motions_of,
     names_of,
 )
+from shared import one_body
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
@@ -429,12 +430,8 @@ def test_torques_resist_turning(pattern):
 
 def rolling_over_poles(shape: pc.Contour, radius: float, omega: list[float]) -> tuple[pc.Scene, pc.State]:
     """A round body that rolls on a plane and turns about all its axes."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = pin.Inertia(1.0, np.zeros(3), 0.4 * radius**2 * np.diag([1.0, 1.1, 1.2]))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
     body, floor = scene.add_contour("body", shape, "body"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("c", body, floor, friction=pc.NoSlip(), bilateral=True)
     turn = pin.Quaternion(pin.exp3(np.array([0.4, -0.3, 0.2]))).coeffs()

@@ -14,6 +14,7 @@ import traceback
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared import one_body
 
 import pincontact as pc
 
@@ -68,10 +69,7 @@ class Case:
 
     def __init__(self, where: str, error: BaseException | None = None) -> None:
         self.where, self.error = where, error
-        model = pin.Model()
-        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
-        model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+        model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), "ball")
         self.scene = scene = pc.Scene(model)
         ball = scene.add_contour("ball", pc.Sphere(0.1), "ball")
         motion = pc.CallableMotion(self.move) if where == "motion" else None

@@ -178,9 +178,9 @@ def feet():
     [
         (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (800, 600)),
         (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
-        (wire, ["visuals", "contours", "trace", "normal", "point"], 1, (800, 600)),
-        (feet, ["contours", "normal", "point"], 16, (800, 600)),
-        (ball, ["visuals", "contours", "trace", "normal", "friction", "point"], 1, (390, 844)),
+        (wire, ["contours", "trace"], 1, (800, 600)),
+        (feet, ["normal"], 16, (800, 600)),
+        (ball, ["normal", "point"], 1, (390, 844)),
     ],
     ids=["meshes", "primitives", "wire", "32 contacts", "phone"],
 )

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
+from shared import one_body
 
 import pincontact as pc
 from pincontact.integration import sign_changes
@@ -183,11 +184,7 @@ def test_compiled_as_in_python():
 
 def particle(**options):
     """1 kg above a plane, or on it."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), "mass"))
     point, plane = scene.add_contour("point", pc.Point(), "mass"), scene.add_contour("plane", pc.Plane())
     scene.add_contact("c", point, plane, **options)
     return scene
@@ -360,12 +357,8 @@ def test_touches_on_dense_output(monkeypatch, rtol):
 
 def tumbling(restitution=0.0):
     """A thrown body that turns, with a foot at its side over a floor."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.05, 0.06]))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
     foot = scene.add_contour("foot", pc.Point(), "body", pin.SE3(np.eye(3), np.array([0.2, 0.1, -0.05])))
     scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()), restitution=restitution)
     state = scene.initial_state(

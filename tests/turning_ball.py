@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pinocchio as pin
+from shared import one_body
 
 import pincontact as pc
 
@@ -14,12 +15,9 @@ RADIUS = 0.05
 
 def ball(friction, slope=0.0, bilateral=False, motion=None):
     """A solid ball on a plane; x is downhill."""
-    model = pin.Model()
-    model.gravity.linear = G * np.array([math.sin(slope), 0.0, -math.cos(slope)])
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
     moments = 0.4 * MASS * RADIUS**2 * np.eye(3)
-    model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), moments), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(MASS, np.zeros(3), moments), "ball")
+    model.gravity.linear = G * np.array([math.sin(slope), 0.0, -math.cos(slope)])
     scene = pc.Scene(model)
     surface = scene.add_contour("surface", pc.Sphere(RADIUS), "ball")
     floor = scene.add_contour("floor", pc.Plane(), motion=motion)

@@ -29,7 +29,7 @@ class _Descriptions(pickle.Pickler):
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file, protocol=4)
-        # two equal values are the same object in one process and not in another: nothing is told of that
+        # no memo: whether two equal values are one object differs between processes
         self.fast = True
         self._seen: set[Any] = set()
 

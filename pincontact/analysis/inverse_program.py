@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 # Directions that move tasks, efforts or forces by less than this part of what moves them most do not move them.
 _NULL, _CLEARLY = 1e-9, 1e-12
-# Rounds in which directions of normal forces of contacts that cannot open settle, and by what they may still change.
+# Iterations for the directions of normal forces of contacts that cannot open, and their tolerance.
 _ROUNDS, _SETTLED = 20, 1e-9
 
 

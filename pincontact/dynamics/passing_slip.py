@@ -72,7 +72,7 @@ class PassingSlip:
         contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
         if not contacts or count == 0:
             return None
-        speed = float(np.linalg.norm(whitened_velocity(system, system.v)))
+        speed = self._speed(system.v)
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly

@@ -22,7 +22,7 @@ _ARRAYS: dict[int, tuple[str, Any]] = {
     _UINT32: ("Uint32Array", "<u4"),
     _FLOAT32: ("Float32Array", "<f4"),
 }
-# The viewer does not care for an animation's path; the server does: it tells a browser that connects later about
+# The viewer does not care for an animation's path; the server does: it informs a browser that connects later about
 # its nodes in the order of their making, and the animation has to come after all it binds to.
 _ANIMATION_NODE = "/animation"
 # three.js: draw both faces, or only the front one.

@@ -1,4 +1,4 @@
-"""Colours: one of each mode, and one of each contact wherever contacts are told apart."""
+"""Colours: one of each mode, and one of each contact wherever contacts are distinguished."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class _Recording(Drawing):
         """Nothing: traces do not grow here."""
 
     def set_property(self, path: str, name: str, value: Any) -> None:
-        """Nothing: what meshcat's viewer is told."""
+        """Nothing: it is a command to meshcat's viewer."""
 
     def write(self) -> None:
         """Write what stands still, and what is there for a while."""

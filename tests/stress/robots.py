@@ -301,9 +301,13 @@ def _disturbed(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> pc.Stat
 
 
 def measure(
-    robot: Robot, motion: str, methods: tuple[str, ...], report: Callable[[Row], None] = lambda row: None
+    robot: Robot,
+    motion: str,
+    methods: tuple[str, ...],
+    report: Callable[[Row], None] = lambda row: None,
+    timed: bool = True,
 ) -> Row:
-    """Run one motion in all methods; report(row): called with what is known after each."""
+    """Run one motion in all methods; report(row): called with what is known after each. timed: by second runs."""
     scene, model = robot.scene, robot.model
     q = robot.q.copy()
     if motion == "standing" and robot.free:
@@ -314,7 +318,7 @@ def measure(
     def run(method: str, state: pc.State = state, times: int = 2, **options: Any) -> tuple[Outcome, np.ndarray]:
         seconds = math.inf
         # kernels, imports, and what a first run of a scene prepares, count for no method
-        for _ in range(times):
+        for _ in range(times if timed else 1):
             began = time.process_time()
             found = pc.simulate(scene, state, DURATION, method=method, control=control, **options)
             seconds = min(seconds, time.process_time() - began)

@@ -56,35 +56,57 @@ def random_cart(seed):
     return cart(ground, wheel, track, mu, speed, rng.choice([0, 1]) * rng.uniform(-2.0, 2.0))
 
 
+def saddle(x0, y0):
+    return lambda x, y: 0.01 * ((x - x0) ** 2 - (y - y0) ** 2)
+
+
 def compare(scene, state):
     """A run gets to its end, without energy from nowhere, and where time stepping gets to."""
-    run = pc.simulate(scene, state, DURATION, energies=True, max_steps=3000, fallback="Moreau")
+    run = pc.simulate(scene, state, DURATION, energies=True, max_steps=3000)
     assert run.status == 0 and run.t[-1] == DURATION, run.message
-    falls_back = any(event.kind == "fallback" for event in run.events)
     energies = run.energies()
-    # in J, of some J: the errors of rtol=1e-8, over some hundred steps, or of time steps of 1 ms
-    assert np.abs(energies.balance).max() < (1e-3 if falls_back else 1e-6)
+    # in J, of some J: the errors of rtol=1e-8, over some hundred steps
+    assert np.abs(energies.balance).max() < 1e-6
     assert np.diff(energies.total).max() < 1e-6
     stepped = pc.simulate(scene, state, DURATION, method="Moreau", dt=5e-4)
     # in m, of 0.1 to 0.7: the error of steps of this size, which halves with them
-    assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < (2e-4 if falls_back else 5e-5)
-    return falls_back
+    assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < 5e-5
 
 
-@pytest.mark.parametrize("seed", [8, 23, 25, 30])
+@pytest.mark.parametrize("seed", [2, 8, 15, 23, 25, 30])
 def test_two_wheels_on_one_axle(seed):
-    """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (30), wheels that come to
-    rest together where they cannot both stick (8, 23), and constraints that become independent, where time stepping
-    has to go on (25)."""
-    assert compare(*random_cart(seed)) or seed != 25
+    """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (15, 30), wheels that come to
+    rest together where they cannot both stick (8, 23), and constraints that become independent (2, 25)."""
+    compare(*random_cart(seed))
+
+
+@pytest.mark.parametrize("seed", [2, 4, 17, 41, 44])
+def test_slow_slips_of_an_axle_end_where_they_do(seed):
+    """Of two wheels on one axle the one that slips goes over to the other again and again. Such slips, of 1e-9 to 1e-6
+    m/s, are slower than they are known, but to end one early takes a thousand times as much from the velocity."""
+    runs = [pc.simulate(*random_cart(seed), DURATION, rtol=r, atol=0.01 * r, max_steps=5000) for r in (1e-8, 1e-10)]
+    assert [run.status for run in runs] == [0, 0], [run.message for run in runs]
+    # some ten of rtol times the wheels' turning, of 10 rad/s
+    assert np.abs(runs[0].v[-1] - runs[1].v[-1]).max() < 1e-6
+
+
+def test_stick_gives_way_where_constraints_become_independent():
+    """On a saddle the wheels of an axle hold the same till their rows have turned by 1e-6: then both cannot stick, and
+    that takes next to nothing from the cart's turn. The values are those of short time steps, see below."""
+    for x0, y0, turn in ((0.25, -0.1, -0.54344), (0.1, 0.1, 0.53137)):
+        for side in (1.0, -1.0):
+            scene, state = cart(saddle(x0, side * y0), pc.Circle(RADIUS), 0.15, 0.43, 1.2, 0.0)
+            run = pc.simulate(scene, state, DURATION)
+            assert run.status == 0, run.message
+            assert "slip" in [event.kind for event in run.events if event.time > 0.01]
+            np.testing.assert_allclose(run.v[-1, 5], side * turn, atol=1e-5)
 
 
 @pytest.mark.parametrize(("dt", "x0", "y0", "turn"), [(1e-3, 0.25, -0.1, -0.54344), (1e-4, 0.1, 0.1, 0.53137)])
 def test_steps_take_no_turn_away(dt, x0, y0, turn):
     """On a saddle both wheels of an axle stick up to 2e-9 m/s, which is as much as solutions of contact problems leave
     open; to take that away, as a constraint next to redundant, would take 0.02 rad/s of the cart's turn at once."""
-    ground = lambda x, y: 0.01 * ((x - x0) ** 2 - (y - y0) ** 2)  # noqa: E731
-    scene, state = cart(ground, pc.Circle(RADIUS), 0.15, 0.43, 1.2, 0.0)
+    scene, state = cart(saddle(x0, y0), pc.Circle(RADIUS), 0.15, 0.43, 1.2, 0.0)
     run = pc.simulate(scene, state, DURATION, method="Moreau", dt=dt)
     assert run.status == 0
     # the turn grows in steps of an equal size, and to that of an event-driven run that got through

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from shared import one_body
+from shared import body_scene, one_body
 
 import pincontact as pc
 
@@ -102,3 +102,151 @@ def test_cusps_and_apexes_are_ends(shape):
     assert run.t[-1] == pytest.approx(way, abs=2e-6)
     # close to the cusp a parameter is known to the square root of rounding only
     assert max(values.max() for values in run.residuals().values()) < 1e-10
+
+
+RADIUS = 0.1
+STANDING = np.array([0.0, 0.0, 0.0, 1.0])
+ACROSS = (-9.0, 9.0)
+
+
+def tilted(angle=0.0, x=0.0, z=0.0):
+    """A placement that is turned about y, so that x goes down."""
+    return pin.SE3(pin.utils.rotate("y", angle), np.array([x, 0.0, z]))
+
+
+def roll(pieces, lines, speed, start, mu, duration, method, **options):
+    """A ball rolls along x from `start` over pieces of ground (contour, placement), the first of which it is on, and
+    edges, lines along y through points (x, z); the run, with its energies."""
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, 3 * [0.4 * RADIUS**2])
+    ball, friction = scene.add_contour("ball", pc.Sphere(RADIUS), frame="body"), pc.Coulomb(mu) if mu else None
+    turned = pin.utils.rotate("z", 0.5 * math.pi)
+    parts = [*pieces, *((pc.Line(ACROSS), pin.SE3(turned, np.array([x, 0.0, z]))) for x, z in lines)]
+    names = [f"c{i}" for i in range(len(parts))]
+    for name, (contour, placement) in zip(names, parts):
+        scene.add_contact(name, ball, scene.add_contour(name, contour, placement=placement), friction)
+    state = scene.initial_state([*start, *STANDING], [speed, 0, 0, 0, speed / RADIUS, 0], free=names[1:])
+    return pc.simulate(scene, state, duration, method=method, energies=True, **options)
+
+
+def before_and_behind(edge, angle=0.0, x=0.0, z=0.0):
+    """Two planes: one that ends at x = edge, and one that begins at (x, z) and goes down at that angle."""
+    return [
+        (pc.Plane(((-9.0, edge), ACROSS)), None),
+        (pc.Plane(((0.0, 9.0), ACROSS)), tilted(angle, x, z)),
+    ]
+
+
+METHODS = ["DOP853", "RK45", "Moreau"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ball_rolls_over_a_crest(seed, method):
+    """It turns about the crest until the slope behind carries it, whose gap is zero there, and negative till then."""
+    rng = np.random.default_rng(seed)
+    angle, speed = rng.uniform(0.02, 0.4), rng.uniform(0.2, 0.4)
+    run = roll(before_and_behind(0.0, angle), [(0.0, 0.0)], speed, (-0.1, 0.0, RADIUS), 0.8, 0.1 / speed + 0.4, method)
+    assert run.status == 0, run.message
+    assert [event.contact for event in run.events if event.kind == "touch"] == ["c2", "c1"]
+    # on the slope, which nothing has kept it from: no height is lost but to gravity, and no energy
+    below = tilted(angle).actInv(run.q[-1, :3])
+    assert below[0] > 0.02 and below[2] == pytest.approx(RADIUS, abs=1e-9)
+    energies = run.energies()
+    # in steps of 1 ms: an edge is met up to 0.4 mm late, which costs the square of an angle of 4e-3
+    loss = 1e-3 if method == "Moreau" else 1e-8
+    np.testing.assert_allclose(energies.total, energies.total[0], atol=loss * energies.total[0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("gap", "step"), [(0.01, 0.0), (1e-3, 0.0), (1e-4, 0.0), (1e-3, 1e-3), (1e-3, -1e-3)])
+@pytest.mark.parametrize("mu", [0.0, 0.5])
+def test_a_ball_crosses_a_joint(gap, step, mu, method):
+    """Between two plates, the far one of which is as high, higher or lower. Without edges it overlaps with that one,
+    where it is no lower, which is told."""
+    pieces = before_and_behind(0.0, 0.0, gap, step)
+    for edges in ([(0.0, 0.0), (gap, step)], []):
+        run = roll(pieces, edges, 1.0, (-0.1, 0.003, RADIUS), mu, 0.3, method)
+        # steps of 1 ms cross a joint of 1 mm without seeing it
+        told = not edges and (step > 0.0 or (step == 0.0 and gap > 2e-3))
+        if told or run.status < 0:
+            assert not edges and step >= 0.0 and run.status == -3 and "'c1': the bodies overlap" in run.message
+            assert run.q[-1, 2] == pytest.approx(RADIUS, abs=1e-3)
+        else:
+            assert run.status == 0, run.message
+            assert run.q[-1, 0] > 0.1 and run.q[-1, 2] == pytest.approx(RADIUS + step, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_ball_climbs_a_kerb_and_comes_back_over_an_edge(method):
+    """Onto a kerb of a twentieth of its radius; and over the end of a table, from which it is drawn back."""
+    pieces = [(pc.Plane(((-9.0, 9.0), ACROSS)), None), (pc.Plane(((0.0, 9.0), ACROSS)), tilted(z=0.005))]
+    run = roll(pieces, [(0.0, 0.005)], 0.8, (-0.2, 0.0, RADIUS), 0.6, 0.7, method)
+    assert run.status == 0, run.message
+    assert run.q[-1, 0] > 0.1 and run.q[-1, 2] == pytest.approx(RADIUS + 0.005, abs=1e-9)
+    table = [(pc.Plane(((-9.0, 0.0), ACROSS)), None)]
+
+    def pull(t, q, v):
+        return np.array([*(pin.Quaternion(q[3:]).matrix().T @ [-3.0, 0.0, 0.0]), 0.0, 0.0, 0.0])
+
+    run = roll(table, [(0.0, 0.0)], 0.3, (-0.01, 0.0, RADIUS), 0.6, 0.6, method, control=pull)
+    assert run.status == 0, run.message
+    assert run.q[:, 0].max() > 0.005 and run.q[-1, 0] < -0.05
+    assert run.q[-1, 2] == pytest.approx(RADIUS, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("overlap", [0.0, 0.01])
+@pytest.mark.parametrize("mu", [0.0, 0.5])
+def test_a_ball_goes_over_a_rounded_crest(mu, overlap, method):
+    """A plane, a cylinder and a slope, each tangent to the one before, which end where they touch: the speed is that of
+    a fall, or of rolling. A slope that begins before the cylinder's end has an edge 0.2 mm above it."""
+    angle, round_, speed = 0.26, 0.3, 0.5
+    slope = tilted(angle)
+    slope.translation = np.array([0.0, 0.0, -round_]) + slope.rotation @ np.array([0.0, 0.0, round_])
+    side = pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.array([0.0, 0.0, -round_]))
+    pieces = [
+        (pc.Plane(((-9.0, overlap), ACROSS)), None),
+        (pc.Cylinder(round_, ((0.5 * math.pi - angle, 0.5 * math.pi), ACROSS)), side),
+        (pc.Plane(((-overlap, 9.0), ACROSS)), slope),
+    ]
+    run = roll(pieces, [], speed, (-0.1, 0.002, RADIUS), mu, 0.8, method)
+    if overlap:
+        assert run.status == -3 and "'c2': the bodies overlap" in run.message
+        return
+    assert run.status == 0, run.message
+    below = slope.actInv(run.q[-1, :3])
+    assert below[0] > 0.1 and below[2] == pytest.approx(RADIUS, abs=1e-9)
+    fall = RADIUS - run.q[-1, 2]
+    expected = math.sqrt(speed**2 + 2.0 * GRAVITY * fall / (1.4 if mu else 1.0))
+    # in steps of 1 ms angles of 2e-3 are met at once
+    assert np.linalg.norm(run.v[-1, :3]) == pytest.approx(expected, rel=1e-4 if method == "Moreau" else 1e-7)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("yaw", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+def test_a_box_slides_over_a_step(mu, yaw, method):
+    """Points of the step's edge come into the box's bottom at gap zero, and carry it as it tips."""
+    half = 0.06
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, 3 * [(2.0 * half) ** 2 / 6.0])
+    step = scene.add_contour("step", pc.Plane(((-2.0, 0.0), (-2.0, 2.0))))
+    friction = pc.Coulomb(mu) if mu else None
+    for i, (x, y) in enumerate([(-1, -1), (-1, 1), (1, -1), (1, 1)]):
+        place = pin.SE3(np.eye(3), half * np.array([x, y, -1.0]))
+        scene.add_contact(f"corner{i}", scene.add_contour(f"corner{i}", pc.Point(), "body", place), step, friction)
+    down = pin.SE3(pin.utils.rotate("x", math.pi), np.array([0.0, 0.0, -half]))
+    bottom = scene.add_contour("bottom", pc.Plane(((-half, half), (-half, half))), "body", down)
+    for y in (-0.05, 0.05):
+        edge = scene.add_contour(f"edge{y}", pc.Point(), placement=pin.SE3(np.eye(3), np.array([0.0, y, 0.0])))
+        scene.add_contact(f"edge{y}", edge, bottom, friction)
+    edges = [name for name in scene.contacts if name.startswith("edge")]
+    state = scene.initial_state([-0.2, 0.0, half, *STANDING], [1.4, 0.0, 0.0, 0.0, 0.0, yaw], free=edges)
+    run = pc.simulate(scene, state, 0.15, method=method)
+    assert run.status == 0, run.message
+    assert {event.contact for event in run.events if event.kind == "touch"} >= set(edges)
+    for q in run.q:
+        body = pin.XYZQUATToSE3(q)
+        inside = [body.actInv(scene.contours[name].placement.translation) for name in edges]
+        assert all(np.abs(x[:2]).max() > 0.98 * half or x[2] < -half + 1e-6 for x in inside)
+    # without friction it is soon far enough out to tip
+    assert (run.v[-1, 4] > 0.1) == (mu == 0.0)

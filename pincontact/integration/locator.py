@@ -209,10 +209,10 @@ class EventLocator:
         """First of the event functions `crossed` that turn negative between the samples on both sides; known: zeros."""
         system = self.system
         system.sought[:] = NOT_SOUGHT
-        for pair in crossed:
-            system.sought[pair] = known.get(pair, UNKNOWN)
         for item in self._open.passed:
             system.sought[item, [GAP_EVENT, DOMAIN_EVENT]] = LEFT_OUT
+        for pair in crossed:
+            system.sought[pair] = known.get(pair, UNKNOWN)
         c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
         value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
         return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value)

@@ -46,6 +46,7 @@ from .results import (
     FLIES_THROUGH,
     LEAPT,
     MOTION_JUMPS,
+    OVERLAPS_AT_END,
     TOUCHES_AROUND,
     TOUCHES_TWICE,
     Stop,
@@ -468,6 +469,10 @@ class MoreauStep:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
         elif status in (FLIES_THROUGH, TOUCHES_TWICE, TOUCHES_AROUND):
             where = f"contact {system.contacts[self.open.where].name!r}: "
+        elif status == OVERLAPS_AT_END:
+            entered = (self.start_domain < 0.0) & (system.contact_real[: system.nc, DOMAIN] >= 0.0)
+            deepest = int(np.argmin(np.where(entered & (system.modes == FREE), system.gaps[: system.nc, 0], math.inf)))
+            where = f"contact {system.contacts[deepest].name!r}: "
         elif status == MOTION_JUMPS:
             where = f"the bodies of contact {system.contacts[self._counts['jumped']].name!r} are moved "
         elif status == CLOSED_APART:

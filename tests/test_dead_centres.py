@@ -192,3 +192,65 @@ def test_a_crank_at_rest_still_sticks():
     run = pc.simulate(scene, scene.initial_state(*crank.place(-1.0, 0.0)), 1.0)
     assert run.status == 0, run.message
     np.testing.assert_allclose(run.v[-1], 0.0, atol=1e-12)
+
+
+class ScotchYoke:
+    """A crank of radius a, whose pin slides with friction in the straight slot, across x, of a slider along x."""
+
+    radius, inertia, mass = 0.1, 0.02, 1.0
+
+    def __init__(self, mu):
+        self.mu = mu
+
+    def scene(self):
+        model = pin.Model()
+        model.gravity.linear = np.array([0.0, -GRAVITY, 0.0])
+        for kind, name, mass, inertia in (
+            (pin.JointModelRUBZ(), "crank", 1.0, self.inertia),
+            (pin.JointModelPX(), "slider", self.mass, 1.0),
+        ):
+            joint = model.addJoint(0, kind, pin.SE3.Identity(), name)
+            model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
+            model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        tip = pin.SE3(np.eye(3), np.array([self.radius, 0.0, 0.0]))
+        scene.add_contour("pin", pc.Point(), frame="crank", placement=tip)
+        slot = pin.SE3(pin.utils.rotate("z", 0.5 * math.pi), np.zeros(3))
+        scene.add_contour("slot", pc.Line((-0.12, 0.12)), frame="slider", placement=slot)
+        scene.add_contact("c", "pin", "slot", pc.Coulomb(self.mu), bilateral=True)
+        return scene
+
+    def motion(self, speed, duration):
+        """Angle and speed of the crank at the end: with N = m x'' on the slider, of either sign, and friction mu |N|
+        against the slip a w cos c."""
+        a, m = self.radius, self.mass
+
+        def rates(t, y):
+            c, w = y
+            for sign in (1.0, -1.0):
+                arm = a * math.sin(c) - a * math.cos(c) * self.mu * sign * math.copysign(1.0, w * math.cos(c))
+                change = -arm * m * a * math.cos(c) * w * w / (self.inertia + arm * m * a * math.sin(c))
+                force = -m * a * (math.sin(c) * change + math.cos(c) * w * w)
+                if sign * force >= 0.0:
+                    break
+            return w, change
+
+        return solve_ivp(rates, (0.0, duration), (0.0, speed), rtol=1e-10, atol=1e-12, max_step=1e-3).y[:, -1]
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize(("mu", "speed"), [(0.1, 10.0), (0.3, 5.0), (0.5, 20.0)])
+def test_a_pin_in_a_slot(mu, speed, rtol):
+    """At the ends of the slider's way slip and load pass zero at once, which neither tells where it goes."""
+    yoke = ScotchYoke(mu)
+    scene = yoke.scene()
+    run = pc.simulate(
+        scene, scene.initial_state([1.0, 0.0, yoke.radius], [speed, 0.0]), 1.0, rtol=rtol, atol=0.01 * rtol
+    )
+    assert run.status == 0, run.message
+    angle, final = yoke.motion(speed, 1.0)
+    # some hundred steps' errors, of motions at 10 rad/s
+    assert run.v[-1, 0] == pytest.approx(final, abs=100.0 * rtol)
+    assert math.remainder(math.atan2(run.q[-1, 1], run.q[-1, 0]) - angle, 2.0 * math.pi) == pytest.approx(
+        0.0, abs=100.0 * rtol
+    )

@@ -44,6 +44,10 @@ _AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
 
+# An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
+# there.
+_NEXT_TO_NOTHING = 1e-6
+
 
 def sizes_of_gaps(system: System) -> tuple[np.ndarray, np.ndarray]:
     """(items,) lengths in m that gaps are compared with, joint coordinates with 1, and to which part of the accuracy of
@@ -101,6 +105,11 @@ def gaps_at_once(system: RunSystem) -> np.ndarray:
 
 def _round_off(system: RunSystem) -> float:
     return _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()]))
+
+
+def next_to_nothing(system: RunSystem, i: int, kind: int) -> float:
+    """What is as good as zero in event function `kind` of item i, against its sizes in the last trial step."""
+    return _NEXT_TO_NOTHING * max(abs(float(system.lowest[i, kind])), abs(float(system.highest[i, kind])))
 
 
 def rest_speed(system: System) -> float:

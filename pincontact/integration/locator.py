@@ -34,7 +34,7 @@ from ..layout import (
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import APART_AT_END, gap_resolution
+from .accuracy import APART_AT_END, gap_resolution, next_to_nothing
 from .crossings import CROSSES, DIPS, ENDS, LEFT_OUT, NOT_SOUGHT, UNKNOWN, find_crossings, find_valleys
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
@@ -59,9 +59,6 @@ _SLOPE_OVER = 1e-4
 _FURTHEST = 1.1
 # Ways are zero that are this part of what open gaps may be below it.
 _CLOSE = 0.1
-# An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
-# there.
-_NEXT_TO_NOTHING = 1e-6
 # Speeds below this, against 1 or the largest velocity, have no sign.
 _SPEED_ROUND_OFF = 1e-15
 
@@ -263,7 +260,7 @@ class EventLocator:
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
-            round_off = self._round_off(c, kind)
+            round_off = next_to_nothing(system, c, kind)
             denied = denied and value > max(round_off, zero)
             change = -value / slope if slope != 0.0 else 0.0
             close = abs(value) <= (round_off if is_force else zero) and abs(change) <= stands
@@ -272,7 +269,7 @@ class EventLocator:
             h += change
         else:
             self.rk.attempt(t, h)
-        if denied or value < -max(self._round_off(c, kind), zero):
+        if denied or value < -max(next_to_nothing(system, c, kind), zero):
             # outputs were written up to there; a function that jumps has no zero for secants
             h = crossing.theta * step
             self.rk.attempt(t, h)
@@ -297,11 +294,6 @@ class EventLocator:
         system.new_state += change * system.slopes[system.sizes["nstages"]]
         self.rk.load(system.new_state)
         return self.rk.evaluate(t) <= EVENT
-
-    def _round_off(self, c: int, kind: int) -> float:
-        """What is next to nothing in an event function, against its sizes in the last trial step."""
-        lowest, highest = float(self.system.lowest[c, kind]), float(self.system.highest[c, kind])
-        return _NEXT_TO_NOTHING * max(abs(lowest), abs(highest))
 
 
 @array_entry(*(REAL[::1],) * 3, REAL)

@@ -34,7 +34,7 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .accuracy import gap_rate, held_up, may_stop
+from .accuracy import gap_rate, held_up, may_stop, next_to_nothing
 from .contradictions import apart, jump_apart, jump_into, refuse_apart, touch_elsewhere
 from .impacts import Impacts
 from .joint_events import JointEvents
@@ -256,9 +256,7 @@ class Transitions:
         """The normal force of contact c is zero: it opens, or the force changes its side, or the contact slips."""
         integers = self.system.contact_int[c]
         if not integers[UNILATERAL]:
-            # at zero the force itself tells no sign
-            integers[NORMAL_SIGN] *= -1
-            return self.onset.resolve(t, self.changes.sticking())
+            return self._turn_normal(t, c)
         if self._closes_again(t, c):
             return self.onset.leave_stick(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
@@ -266,6 +264,18 @@ class Transitions:
             self.changes.accept_with_other_forces(t)
             return t
         return self._open(t, [c])
+
+    def _turn_normal(self, t: float, c: int) -> float:
+        """The normal force of bilateral contact c changes its sign, which the force itself, as good as zero, does not
+        tell."""
+        integers, least = self.system.contact_int[c], next_to_nothing(self.system, c, NORMAL_EVENT)
+        sign = -int(integers[NORMAL_SIGN])
+        integers[NORMAL_SIGN] = sign
+        after = self.onset.resolve(t, self.changes.sticking())
+        if integers[NORMAL_SIGN] != sign and abs(self.system.force[c, 2]) <= least:
+            integers[NORMAL_SIGN] = sign
+            self.changes.evaluate_accepted(after)
+        return after
 
     def _open(self, t: float, contacts: list[int]) -> float:
         """These contacts open."""

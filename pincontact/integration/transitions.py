@@ -75,6 +75,9 @@ class Transitions:
         self.impacts = Impacts(self.onset, self.penetration, restitution)
         # closed contacts of the initial state that come in
         self._striking: list[int] = []
+        # when redundant forces were chosen anew last, and for which contacts
+        self._chosen_at = math.nan
+        self._chosen_for: set[int] = set()
 
     # ---------------------------------------------------------------- start and breakpoints
 
@@ -217,10 +220,20 @@ class Transitions:
         unloaded = self.changes.unloaded()
         if self.system.owner(c) in unloaded:
             return self._open(t, unloaded)
-        if not chosen and self.changes.redistribute(t, c, kind):
+        if not (chosen or self._is_again(t, c)) and self.changes.redistribute(t, c, kind):
             return t
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
+
+    def _is_again(self, t: float, c: int) -> bool:
+        """Whether redundant forces have been chosen anew at this very instant for contact c, which did not do: others
+        have lost their loads then in turn, and together they have none to share."""
+        if t != self._chosen_at:
+            self._chosen_at = t
+            self._chosen_for.clear()
+        found = c in self._chosen_for
+        self._chosen_for.add(c)
+        return found
 
     def _leap(self, t: float, c: int) -> float:
         """The gap of contact c has leapt from one sign to the other, which is no touch: two curves have become

@@ -135,15 +135,14 @@ def _foretell_stop(system, c, before, rate_before):
         return
     left = speed / -rate
     number[STOP_TIME] = _STOP_FRACTION * left
-    if not (before < math.inf and h > 0.0):
+    # creeping slip has longer to go than steps tell, which friction that turns it keeps short
+    if not (before < math.inf and h > 0.0) or left > h:
         return
     # what the rate changes by over h goes with the square of the time, and slip turns as it slows down
     missed = abs(speed - before - rate_before * h) * (left / h) ** 2
     basis, slip, along = system.basis[c], system.slip[c], system.relative_acceleration[c]
     turned = abs(dot(basis[0], slip) * along[1] - dot(basis[1], slip) * along[0]) / speed * left
-    # creeping slip has longer to go than steps tell, which friction that turns it keeps short
-    if left <= h:
-        number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
+    number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
     bend = abs(rate - rate_before) / h
     near = _near_end(number, h, before, rate_before, turned, bend)
     if near > 0.0:

@@ -180,7 +180,7 @@ class SlipOnset:
             return self.resolve(t, changes.sticking(), beyond=c)
         # the state is on its constraints, and evaluated
         self.rk.accept()
-        after = self._take_over(t, c)
+        after = self._take_over(t)
         if after is not None:
             return after
         # the friction that stick asks for at its limit is against the slip to come
@@ -214,15 +214,15 @@ class SlipOnset:
             tau, _, seeded = self._run_on(t, c, _SHORT_SEED * tau)
         return self._end(t, tau, seeded)
 
-    def _take_over(self, t: float, c: int) -> float | None:
-        """The new time where others that move contact c slip so slowly that it counts as rest, and who slips is to be
-        decided anew; None where there are none, or that did not do and nothing has changed.
+    def _take_over(self, t: float) -> float | None:
+        """The new time where others slip so slowly that it counts as rest, and who slips is to be decided anew; None
+        where there are none, or that did not do and nothing has changed.
 
-        What begins to slip takes over such slips beside it within times in which no step could show it.
+        What begins to slip takes such slips over within times in which no step could show it.
         """
         system, changes, integers = self.system, self.changes, self.system.contact_int
         slowest = rest_speed(system)
-        resting = [i for i in self._turning() if changes.slip_speed(i) <= slowest and self._moves(i, c)]
+        resting = [i for i in self._turning() if changes.slip_speed(i) <= slowest]
         if not resting:
             return None
         before, signs = integers.copy(), integers[:, MODE].copy()
@@ -235,13 +235,6 @@ class SlipOnset:
             changes.reports.announce_friction(t, i, bool(integers[i, MODE] == SLIPPING))
         self.rk.accept()
         return self.start(t)
-
-    def _moves(self, i: int, c: int) -> bool:
-        """Whether friction of item i moves what it touches against what item c touches."""
-        rows = self.system.rows
-        one, other = (whiten(self.system, rows[item, :2].T) for item in (i, c))
-        sizes = np.linalg.norm(one) * np.linalg.norm(other)
-        return bool(np.abs(one.T @ other).max() > _ROUND_OFF * sizes)
 
     def _limit(self, c: int) -> np.ndarray:
         """(3,) direction in world axes of a slip against which the friction of item c is."""

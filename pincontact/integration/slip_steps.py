@@ -88,8 +88,9 @@ class SlipSteps:
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
         for i, (speed, rate, allowed, _) in slips.items():
-            # what grows may be taking over the slip that ends
-            if i != c and rate < 0.0 and min(speed, abs(speed + rate * left)) <= further * _TOGETHER * allowed:
+            # slip that grows is no nearer to its end where steps get nowhere
+            least, reach = (min(speed, abs(speed + rate * left)), further) if rate < 0.0 else (speed, 1.0)
+            if i != c and least <= reach * _TOGETHER * allowed:
                 contacts.append(i)
         rk.load(system.state)
         rk.evaluate(t)

@@ -135,8 +135,7 @@ def _foretell_stop(system, c, before, rate_before):
         return
     left = speed / -rate
     number[STOP_TIME] = _STOP_FRACTION * left
-    # creeping slip has longer to go than steps tell, which friction that turns it keeps short
-    if not (before < math.inf and h > 0.0) or left > h:
+    if not (before < math.inf and h > 0.0):
         return
     # what the rate changes by over h goes with the square of the time, and slip turns as it slows down
     missed = abs(speed - before - rate_before * h) * (left / h) ** 2
@@ -262,9 +261,7 @@ def slip_ends(system, n):
         speed, allowed = number[START_SPEED], number[START_TOLERANCE]
         if not (number[START_RATE] < 0.0 and speed < math.inf):
             continue
-        stalled = system.counters.stalled
-        within = stalled > 0 or speed <= -number[START_RATE] * system.scalars.step
-        if (within and speed <= allowed * 2.0**stalled) or number[STOP_ERROR] <= LEFT_OUT * allowed:
+        if speed <= allowed * 2.0**system.counters.stalled or number[STOP_ERROR] <= LEFT_OUT * allowed:
             return True
     return False
 

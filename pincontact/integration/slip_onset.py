@@ -180,9 +180,6 @@ class SlipOnset:
             return self.resolve(t, changes.sticking(), beyond=c)
         # the state is on its constraints, and evaluated
         self.rk.accept()
-        after = self._take_over(t)
-        if after is not None:
-            return after
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
@@ -213,28 +210,6 @@ class SlipOnset:
             changes.evaluate_accepted(t)
             tau, _, seeded = self._run_on(t, c, _SHORT_SEED * tau)
         return self._end(t, tau, seeded)
-
-    def _take_over(self, t: float) -> float | None:
-        """The new time where others slip so slowly that it counts as rest, and who slips is to be decided anew; None
-        where there are none, or that did not do and nothing has changed.
-
-        What begins to slip takes such slips over within times in which no step could show it.
-        """
-        system, changes, integers = self.system, self.changes, self.system.contact_int
-        slowest = rest_speed(system)
-        resting = [i for i in self._turning() if changes.slip_speed(i) <= slowest]
-        if not resting:
-            return None
-        before, signs = integers.copy(), integers[:, MODE].copy()
-        integers[resting, MODE] = STICK
-        if not changes.let_slide(t):
-            integers[:] = before
-            changes.evaluate_accepted(t)
-            return None
-        for i in np.flatnonzero((signs != integers[:, MODE]) & np.isin(integers[:, MODE], (STICK, SLIPPING))).tolist():
-            changes.reports.announce_friction(t, i, bool(integers[i, MODE] == SLIPPING))
-        self.rk.accept()
-        return self.start(t)
 
     def _limit(self, c: int) -> np.ndarray:
         """(3,) direction in world axes of a slip against which the friction of item c is."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.equations import list_constraints
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import NOTHING, kernel
@@ -30,7 +29,7 @@ from ..layout import (
     SYSTEM,
     TANGENTS,
 )
-from ..linalg import RANK_TOLERANCE, inner, subtract_row, whiten
+from ..linalg import inner, whiten
 
 # No step goes further than this fraction of the way to the end of slip, or than all of it but this many times the error
 # with which that is foretold, and this fraction; that where the way is shorter than this part of the last step, so that
@@ -80,48 +79,10 @@ def note_end(system):
             for k in range(nv):
                 value += abs(line[k]) * (absolute + relative * abs(v[k]))
             allowed = max(allowed, value)
-        if number[START_RATE] < 0.0 and number[START_SPEED] <= allowed * 2.0**STOP_DOUBLINGS:
-            allowed = max(allowed * _part_left(system, c), _SMALLEST_STOP_SPEED)
         number[START_TOLERANCE] = allowed
         _foretell_stop(system, c, before, rate)
         number[LAST_SPEED], number[LAST_RATE], number[LAST_STEP] = before, rate, system.scalars.step
     system.scalars.turning_rate = turning
-
-
-@kernel
-def _part_left(system, c):
-    """The part of slip c's row, in the mass metric, that its other tangent and the constraints of all others leave: the
-    less, the more of the velocity goes with the slip when it ends. Of wheels on one axle it is next to nothing."""
-    nv, count, rows = system.sizes.nv, list_constraints(system)[0], system.whitened_rows
-    basis, slip = system.basis[c], system.slip[c]
-    first, second = dot(basis[0], slip), dot(basis[1], slip)
-    # there is room for the tangents, which have no rows
-    _whiten_tangent(system, c, -second, first, rows[count])
-    _whiten_tangent(system, c, first, second, rows[count + 1])
-    rank, left = 0, 1.0
-    for r in range(count + 2):
-        own, before = rows[r], inner(rows[r], rows[r], nv)
-        for k in range(rank):
-            subtract_row(own, rows[k], inner(own, rows[k], nv))
-        square = inner(own, own, nv)
-        left = square / before if before > 0.0 else 1.0
-        # as rows depend on each other where forces are found
-        if square > RANK_TOLERANCE * before:
-            inverse = 1.0 / math.sqrt(square)
-            for k in range(nv):
-                rows[rank, k] = own[k] * inverse
-            rank += 1
-    # what depends on the others is not ended by them
-    return math.sqrt(left) if left > RANK_TOLERANCE else 1.0
-
-
-@kernel
-def _whiten_tangent(system, c, first, second, out):
-    """out = L^-T (first, second) . rows of the tangents of item c."""
-    rows = system.rows[c]
-    for k in range(system.sizes.nv):
-        out[k] = first * rows[0, k] + second * rows[1, k]
-    whiten(system.factor, system.parents, system.sizes.nv, out, out)
 
 
 @kernel
@@ -207,9 +168,11 @@ def _turning_rate(system, c):
     """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
     nv, force, work = system.sizes.nv, system.force[c], system.work
-    basis, slip = system.basis[c], system.slip[c]
+    basis, rows, slip = system.basis[c], system.rows[c], system.slip[c]
     first, second = dot(basis[0], slip), dot(basis[1], slip)
-    _whiten_tangent(system, c, -second, first, work)
+    for k in range(nv):
+        work[k] = first * rows[1, k] - second * rows[0, k]
+    whiten(system.factor, system.parents, nv, work, work)
     speed = math.hypot(first, second)
     return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 

@@ -815,7 +815,7 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
     monkeypatch.setattr(solver, "_solve_posed", solve)
     solver._solve_contacts(T, Played(system))
     # with the limits that the slip found so far has left
-    assert posed.asked == [([0, 1, 2, 3], [])] * 3
+    assert posed.asked == [([0, 1, 2, 3], [], math.inf)] * 3
     assert limits == [[0.5, 0.5, 0.3, 0.5], [0.3, 0.5, 0.3, 0.5], [0.3, 0.3, 0.3, 0.5]]
     monkeypatch.setattr(solver, "_solve_posed", saying(None))
     decision = solver._solve_contacts(T, never)

@@ -244,6 +244,8 @@ def viscous(at):
 def expected_event_functions(at):
     out = np.ones((TOTAL, EVENTS_PER_CONTACT))
     out[0, GAP_EVENT] = at.gaps[0, 0]
+    if at.numbers[0, DOMAIN] < math.inf:
+        out[0, DOMAIN_EVENT] = max(at.gaps[0, 0], -at.numbers[0, DOMAIN])
     out[1:NC, DOMAIN_EVENT] = at.numbers[1:NC, DOMAIN]
     for i in range(TOTAL):
         mode = at.integers[i, MODE]

@@ -17,6 +17,7 @@ from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
 from pincontact.integration.steps import FIND_ZERO
 from pincontact.layout import (
+    DOMAIN_EVENT,
     EVENTS_PER_CONTACT,
     GAP_EVENT,
     LEFT_ROW,
@@ -455,7 +456,8 @@ def test_what_samples_show(seed):
         crosses &= before != NOTHING_THERE
         speed = before[..., SPEED_EVENT], after[..., SPEED_EVENT]
         crosses[..., SPEED_EVENT] &= (speed[0] >= 0.0) | (speed[1] < speed[0])
-        crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | apart
+        for kind in (GAP_EVENT, DOMAIN_EVENT):
+            crosses[:1, :nc, kind] &= (before[:1, :nc, kind] >= 0.0) | apart
         found = np.zeros((values.size, 3), dtype=np.int64)
         assert found[: find_crossings(values, apart, found)].tolist() == np.argwhere(crosses).tolist()
         left, middle, right = values[:-2], values[1:-1], values[2:]

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_motions import G, free_body
+from shared import body_scene
 
 import pincontact as pc
 
@@ -76,3 +77,28 @@ def test_feet_that_only_a_pusher_holds_do_not_part(method):
     assert {event.contact for event in slips} == {"foot 0", "foot 1", "foot 2"}
     np.testing.assert_allclose([event.time for event in slips], 0.5, atol=1e-6)
     assert not any(event.kind == "separate" and event.time < 0.51 for event in run.events)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"rtol": 1e-5, "atol": 1e-7}, {"rtol": 1e-11, "atol": 1e-13}, {"method": "Moreau"}]
+)
+@pytest.mark.parametrize("across", [(-0.06, 0.06), (-0.06, 0.0, 0.06), (-0.06, 0.05)])
+@pytest.mark.parametrize("mu", [0.02, 0.1])
+def test_a_slab_passes_over_rows_of_points(mu, across, options):
+    """As its centre passes the middle row those behind lose their loads together, and the row ahead, which starts open
+    at gap zero, takes them; whoever carries it, friction brakes it alike."""
+    height = 0.04
+    scene = body_scene(pin.JointModelFreeFlyer(), 2.0, (0.006, 0.016, 0.02))
+    down = pin.SE3(pin.utils.rotate("x", math.pi), np.array([0.0, 0.0, -height]))
+    bottom = scene.add_contour("bottom", pc.Plane(((-0.3, 0.3), (-0.08, 0.08))), "body", down)
+    for i, x in enumerate((-0.1, 0.0, 0.1)):
+        for j, y in enumerate(across):
+            point = scene.add_contour(f"{i}{j}", pc.Point(), placement=pin.SE3(np.eye(3), np.array([x, y, 0.0])))
+            scene.add_contact(f"{i}{j}", point, bottom, friction=pc.Coulomb(mu))
+    ahead = [name for name in scene.contacts if name.startswith("2")]
+    state = scene.initial_state([-0.05, 0.0, height, 0, 0, 0, 1], [0.5, 0, 0, 0, 0, 0], free=ahead)
+    run = pc.simulate(scene, state, 0.2, **options)
+    assert run.status == 0, run.message
+    # under friction mu g all the way; loads that are not alike on both sides turn it a little
+    assert run.q[-1, 0] == pytest.approx(-0.05 + 0.1 - 0.5 * mu * 9.81 * 0.04, abs=1e-4)
+    assert run.q[-1, 2] == pytest.approx(height, abs=1e-7)

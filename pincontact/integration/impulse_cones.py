@@ -20,6 +20,11 @@ from .impulse_problem import OPENING
 # Modes (n,), forces and velocities (3n,) of a solution.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
 
+# Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
+_COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
+# What such a solution's forces may be, as velocities, relative to the largest one in b.
+_LARGEST_FORCE = 10.0
+
 
 @dataclass(frozen=True)
 class _Problem:
@@ -215,19 +220,39 @@ class ImpulseSolver:
         return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
 
     def _search_hard(self, problem: _Problem) -> bool:
-        """What the quick searches did not solve: for forces and loads at once; then without rebounds; then, with
-        friction that goes with other loads, what has a solution unless bodies are crushed.
+        """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
+        may be out of reach by a little; for forces and loads at once; then without rebounds; then, with friction that
+        goes with other loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
         counts, numbers = self._counts, self._numbers
         if counts["coupled"] == APART:
+            if self._solve_softened(problem):
+                return True
             counts["coupled"] = TOGETHER
             if self._solve_together(problem):
                 return True
         problem.base[2::3] += numbers["kept"] * problem.units["shift"]
         numbers["kept"] = numbers["kept_low"] = numbers["kept_high"] = 0.0
         return self._solve_together(problem) or self._solve_with_given_radii(problem)
+
+    def _solve_softened(self, problem: _Problem) -> bool:
+        """The solution with the least compliance that gives one."""
+        solver = self.solver
+        diagonal = np.einsum("ii->i", problem.gram)
+        stiff = diagonal.copy()
+        unit = np.repeat(stiff.reshape(-1, 3).mean(axis=1), 3)
+        largest = _LARGEST_FORCE * float(np.abs(problem.base).max())
+        for share in _COMPLIANCES:
+            diagonal[:] = stiff + share * unit
+            if solver.solve(*problem.cones):
+                # contacts that wedge each other are held by next to nothing but the compliance
+                if float((unit * np.abs(solver.forces)).max()) <= largest:
+                    return True
+                solver.forget()
+        diagonal[:] = stiff
+        return False
 
     def _loads(self, problem: _Problem) -> Loads:
         """The problem with the loads that it takes as given as functions of the forces."""

@@ -61,9 +61,9 @@ class _Problem:
 class ImpulseSolver:
     """The solver of a step's cone problems, for what compiled code leaves of them.
 
-    solver: the contact solver, whose tables the compiled code uses, too. Counters: problems that were left, or solved
-    with the friction of other loads (settled), and by how much the radii of friction were off in the latter, relative
-    to the largest.
+    solver: the contact solver, whose tables the compiled code uses, too. Counters: problems that were left, solved with
+    compliance (softened), or with the friction of other loads (settled), and by how much the radii of friction were off
+    in the latter, relative to the largest.
     """
 
     def __init__(self, arrays: Workspace) -> None:
@@ -78,7 +78,7 @@ class ImpulseSolver:
 
     def begin(self) -> None:
         """Count anew."""
-        self.left = self.settled = 0
+        self.left = self.softened = self.settled = 0
         self.settled_off = 0.0
         self._share_tables()
 
@@ -249,6 +249,7 @@ class ImpulseSolver:
             if solver.solve(*problem.cones):
                 # contacts that wedge each other are held by next to nothing but the compliance
                 if float((unit * np.abs(solver.forces)).max()) <= largest:
+                    self.softened += 1
                     return True
                 solver.forget()
         diagonal[:] = stiff

@@ -447,6 +447,7 @@ class MoreauStep:
         return {
             "cone_problems": cones.left + int(counts["solved"]),
             "rigid": int(counts["rigid_steps"]),
+            "softened": cones.softened,
             "settled": cones.settled,
             "open_loads": int(counts["open_loads"]),
             "decided": cones.solver.decided,

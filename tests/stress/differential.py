@@ -240,8 +240,10 @@ def solution_after(runs: Runs, name: str, run: pc.Trajectory, exact: pc.Trajecto
     after = pc.simulate(motion.scene, state, min(rest, 0.01), method="Moreau", **given)
     if after.status < 0:
         return f"none found: time stepping ends with {after.status} there"
-    settled = after.stats["settled"]
-    return f"only with friction of other loads, in {settled} steps" if settled else "yes, time stepping goes on"
+    for count, means in (("softened", "compliance"), ("settled", "friction of other loads")):
+        if after.stats[count]:
+            return f"only with {means}, in {after.stats[count]} steps"
+    return "yes, time stepping goes on"
 
 
 def judge(

@@ -24,8 +24,8 @@ LIMP = (
     "solo",
     "solo12",
 )
-# what hops left of slip, of Laikago's feet, left no forces
-STANDING = ("a1", "laikago", "solo12", "xarm7")
+# what hops left of slip, of the feet of Laikago and Alexander, left no forces
+STANDING = ("a1", "alexander_v1.lowerBodyOnly", "laikago", "solo12", "xarm7")
 
 
 @pytest.mark.skipif(FOLDER is None, reason='needs pip install "pincontact[robots]"')

@@ -105,11 +105,13 @@ class PassingSlip:
         rows, bias, free = system.rows[items, row], system.bias[items, row], system.free_acceleration
         wanted, size = (rows @ free + bias) / lengths, (np.abs(rows) @ np.abs(free) + np.abs(bias)) / lengths
         missed = np.abs(wanted - unit @ np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])
-        may_go = np.isin(items, joints)
+        may_go = np.zeros((system.items, 3), dtype=bool)
+        may_go[joints] = True
         if len(unilateral) > 1:
             # one alone has nothing beside it
-            may_go |= np.isin(items, unilateral) & (row == 2)
-        return bool((missed[may_go] > _UNHELD * size.max(initial=0.0)).any())
+            may_go[unilateral, 2] = True
+        missed = missed[may_go[items, row]]
+        return bool((missed > _UNHELD * size.max(initial=0.0)).any())
 
     def _unit_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The constrained rows of the last evaluation that move something: items, rows of their bases, and unit vectors

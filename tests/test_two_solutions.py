@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -105,3 +106,34 @@ def test_what_others_throw_off_is_announced():
     run = Runs(random_motion(50212)[1]).run()
     happened = [(event.kind, event.contact) for event in run.events if 0.0 < event.time < 0.05]
     assert happened == [("limit", None), ("separate", "c0"), ("touch", "c1"), ("touch", "c0"), ("separate", "c1")]
+
+
+def ball_in_groove(seed, friction):
+    """A ball starts from rest on one flank of a groove, and rolls down until it touches the other one."""
+    rng = np.random.default_rng(seed)
+    radius, (left, right) = rng.uniform(0.05, 0.2), rng.uniform(0.3, 1.2, 2)
+    inertia = pin.Inertia(1.0, np.zeros(3), rng.uniform(0.2, 0.6) * radius**2 * np.eye(3))
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia, "ball"))
+    ball = scene.add_contour("ball", pc.Sphere(radius), "ball")
+    for name, tilt in (("left", left), ("right", -right)):
+        plane = scene.add_contour(name, pc.Plane(), placement=pin.SE3(pin.utils.rotate("y", tilt), np.zeros(3)))
+        scene.add_contact(name, ball, plane, friction)
+    up, down = np.array([math.sin(left), 0.0, math.cos(left)]), np.array([math.cos(left), 0.0, -math.sin(left)])
+    other = np.array([-math.sin(right), 0.0, math.cos(right)])
+    # 5 cm from the other flank
+    centre = radius * up + (radius + 0.05 - radius * up @ other) / (down @ other) * down
+    return scene, scene.initial_state(np.r_[centre, 0.0, 0.0, 0.0, 1.0], np.zeros(6), free=["right"])
+
+
+@pytest.mark.parametrize("friction", [pc.NoSlip(), pc.Coulomb(0.8), pc.Coulomb(3.0)], ids=str)
+@pytest.mark.parametrize("seed", range(1, 8))
+def test_a_ball_is_not_caught_in_a_groove(seed, friction):
+    """As it strikes, forces of any size between the flanks could hold it there at once, and it rolls up the other one
+    instead. What is left of rebounds that grow ever lower comes to rest (seed 3)."""
+    scene, state = ball_in_groove(seed, friction)
+    run = pc.simulate(scene, state, 0.2)
+    stepped = pc.simulate(scene, state, 0.2, method="Moreau", step=2e-4)
+    assert run.status == stepped.status == 0, (run.message, stepped.message)
+    # it rolls at up to 1 m/s, and strikes up to a step late
+    assert np.abs(run.q[-1] - stepped.q[-1]).max() < 1e-3
+    assert run.contacts["left"].mode[-1] == stepped.contacts["left"].mode[-1]

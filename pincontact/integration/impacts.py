@@ -393,28 +393,22 @@ class Impacts:
         """
         system, changes, joints = self.system, self.changes, self.joints
         modes = system.contact_int[:, MODE]
-        # what would not stay at rest, or has no forces there: it goes on from there, later, at a speed of its own
-        lasting = set(self._lasting)
-        before, returned = self._kept(), set[int]()
+        # what would not stay at rest: it goes on from there, later, at a speed of its own
+        lasting: set[int] = set()
         for _ in range(2 * system.items + 1):
             if self.rk.evaluate(t) > EVENT:
-                if not returned:
-                    return
-                self._take_back(before)
-                lasting.update(returned)
-                self.rk.evaluate(t)
-            before = self._kept()
+                return
+            before = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             slips = [c for c in slips if c not in lasting]
-            left = [g for g in ends if joints.is_free(g) and system.nc + g not in lasting]
+            left = [g for g in ends if joints.is_free(g)]
             hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             stops = [g for g in stops if system.nc + g not in lasting]
-            touches = [c for c in contacts if modes[c] == FREE and c not in lasting and self._returns_soon(t, c)]
+            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c) and c not in self._lasting]
             if not (slips or stops or hops or touches):
                 return
-            returned = {*touches, *(system.nc + g for g in hops)}
             for c in touches:
                 modes[c] = rest_mode(system.contact_real[c, MU])
             if touches:
@@ -432,16 +426,8 @@ class Impacts:
                 beyond = [i for i in ended if min(system.event_functions[i, FORCE_EVENTS]) < 0.0]
                 if beyond:
                     lasting.update(beyond)
-                    self._take_back(before)
-                    returned.clear()
-
-    def _kept(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Modes and state, as `_take_back` needs them."""
-        return self.system.contact_int.copy(), self.system.joint_int.copy(), self.system.stage_state.copy()
-
-    def _take_back(self, kept: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-        self.system.contact_int[:], self.system.joint_int[:] = kept[:2]
-        self.rk.load(kept[2])
+                    system.contact_int[:], system.joint_int[:] = before[:2]
+                    self.rk.load(before[2])
 
     def _project(self, t: float) -> bool:
         """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been
@@ -449,13 +435,17 @@ class Impacts:
         system, modes = self.system, self.system.contact_int[:, MODE]
         if self.rk.project(t, False):
             return True
-        for c in system.closed():
-            if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
-                modes[c] = FRICTIONLESS
+        slowest = rest_speed(system)
+        hopping = [c for c in system.closed() if modes[c] == SLIPPING and abs(gap_rate(system, c)) > slowest]
+        modes[hopping] = FRICTIONLESS
         sliding = may_stop(system)
         if sliding:
             self.changes.stop_slips(t, sliding)
             return False
+        if hopping and self.rk.project(t, False):
+            self.changes.set_from_velocities(after_impact=True)
+            if self.rk.evaluate(t) <= EVENT:
+                return False
         # the slip that an impact has left jams at once
         self.changes.evaluate_rows(t)
         ends = list(self.joints.held_at_ends())

@@ -77,11 +77,12 @@ ACTUATOR = np.dtype(
 )
 
 # A unit of the cone problem. kind and index: of which contact or joint; mask: bit r is set where row r is real, the
-# others only fill up the cone; touches: whether it closes in the step; midpoint: whether slip is opposed along the mean
-# of its velocities at both ends; at_rest: whether it holds up to its coefficient of sticking; slid: whether it slid at
-# the step's start; held: whether it stays at rest if any forces hold it; tied: whether its normal velocity follows from
-# the equations, which then carry its load, too. Row r of a unit that resists turning is about
-# basis vector axis + r; parent is the unit of its contact, -1 where equations give its normal impulse.
+# others only fill up the cone; touches: whether it closes in the step, struck: or impulses of what does act on it;
+# midpoint: whether slip is opposed along the mean of its velocities at both ends; at_rest: whether it holds up to its
+# coefficient of sticking; slid: whether it slid at the step's start; held: whether it stays at rest if any forces hold
+# it; tied: whether its normal velocity follows from the equations, which then carry its load, too. Row r of a unit that
+# resists turning is about basis vector axis + r; parent is the unit of its contact, -1 where equations give its normal
+# impulse.
 # impulse_time: s after the step's start at which its impulse acts; approach and free_rate: its normal velocity before
 # the impact and the rate of that, shift: the rebound less what the smooth forces take back of it; load: normal impulse
 # that is taken as given; sliding: its coefficient in slip, sticking_again: that up to which it holds where its slip
@@ -89,7 +90,7 @@ ACTUATOR = np.dtype(
 UNIT = np.dtype(
     [
         *((name, INTEGERS) for name in ("kind", "index", "mask", "touches", "midpoint", "at_rest", "slid", "held")),
-        ("tied", INTEGERS),
+        *((name, INTEGERS) for name in ("tied", "struck")),
         *((name, INTEGERS) for name in ("axis", "parent")),
         *((name, REALS) for name in ("impulse_time", "approach", "free_rate", "shift")),
         *((name, REALS) for name in ("load", "sliding", "sticking_again")),

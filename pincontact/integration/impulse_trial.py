@@ -194,10 +194,36 @@ def _solve(step, n):
 
 
 @kernel
+def _mark_struck(step, n):
+    """Mark the units that impulses of what touches in the step act on, through others, too."""
+    delassus, spreads = square(step.delassus, 3 * n), step.counts.touched != 0
+    for u in range(n):
+        step.units[u].struck = step.units[u].touches
+    while spreads:
+        spreads = False
+        for u in range(n):
+            for other in range(n if step.units[u].struck == 0 else 0):
+                if step.units[other].struck != 0 and _are_coupled(delassus, u, other):
+                    step.units[u].struck, spreads = 1, True
+                    break
+
+
+@kernel
+def _are_coupled(delassus, u, other):
+    for row in range(3 * u, 3 * u + 3):
+        for column in range(3 * other, 3 * other + 3):
+            if delassus[row, column] != 0.0:
+                return True
+    return False
+
+
+@kernel
 def _lets_go(system, step, n):
     """Whether the solution of the n units lets a contact slip or open that was at rest, or slip that comes to rest in
-    the step as its slip turns back, or that must not slip as it touches; marks them."""
+    the step as its slip turns back; marks them. An impact has no part in what was before, but ideal rolling must not
+    slip in it."""
     h, velocities, goes = step.numbers.h, step.cone_velocities, False
+    _mark_struck(step, n)
     for u in range(n):
         unit = step.units[u]
         c, mode = unit.index, step.cone_modes[u]
@@ -205,13 +231,13 @@ def _lets_go(system, step, n):
         # not once more with the coefficient of sliding
         if unit.kind >= ON_JOINT or step.friction[u] < step.sticking[c]:
             continue
-        rests = step.start_mode[c] == STICK or may_rest(step, u)
+        rests = unit.struck == 0 and (step.start_mode[c] == STICK or may_rest(step, u))
         opening = OPENING * system.contact_real[c, LENGTH]
         # what cannot open has no friction without a load
         may_slide = mode == cone.SLIP or (mode == cone.OPEN and unit.kind == ON_LOADED)
         slides = may_slide and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
         opens = mode == cone.OPEN and unit.kind == ON_CONTACT and velocities[3 * u + 2] * h > opening
-        rolls = slides and unit.touches != 0 and step.friction[u] == math.inf
+        rolls = slides and unit.struck != 0 and step.friction[u] == math.inf
         unit.held = 1 if rests or rolls else 0
         goes = goes or (rests and (slides or opens)) or rolls
     return goes

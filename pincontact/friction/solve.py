@@ -313,7 +313,7 @@ class ContactSolver:
         stages = sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages
         for stage in ("qp", *stages) if self.programs_first else stages:
             if stage == "sweeps":
-                solved = not tried_already and self._gauss_seidel(problem)
+                solved = not tried_already and self._gauss_seidel(problem, self.nearest)
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             else:
@@ -323,6 +323,10 @@ class ContactSolver:
                 return True
             if self.jammed and not (afresh and self.certificate is None):
                 return False
+        # redundant forces of least norm may leave their cones where others do not
+        if not self.nearest and self._gauss_seidel(problem, nearest=True):
+            self._decide("sweeps")
+            return True
         return False
 
     def _decide(self, stage: str) -> None:
@@ -337,12 +341,12 @@ class ContactSolver:
         self.residual = found if found <= tolerance else min(found, self.residual)
         return found
 
-    def _gauss_seidel(self, problem: _Problem) -> bool:
-        """Modes from projected Gauss-Seidel, from the last forces if there are any."""
+    def _gauss_seidel(self, problem: _Problem, nearest: bool) -> bool:
+        """Modes from projected Gauss-Seidel, from the last forces if there are any; nearest: see NEAREST."""
         space, tolerance = self._space, STRICTNESS * self.tolerance
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
-        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if self.nearest else 0)
+        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if nearest else 0)
         return self._start(problem, task, tolerance) <= tolerance
 
     def _newton(self, problem: _Problem, tolerance: float) -> float:

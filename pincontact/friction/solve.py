@@ -7,7 +7,7 @@ natural map (`cone`) accepts or refuses them. The suggestions come from, cheapes
     sweeps  projected Gauss-Seidel: a few passes over the last forces, and more if these do not do; redundant forces as
             before
     path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound
-    qp      a sequence of ProxQP programs (`proxqp`), before all others, where the caller asks for it
+    qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
 
 The first two are one call of compiled code (`starts`), which other kernels can make, too. A single contact needs no
 search: all of its states can be tried (`exact`). The same problem and warm start give the same bits.
@@ -72,7 +72,7 @@ HOMOTOPY_STEPS = 500
 QUICK_HOMOTOPY_STEPS = 20
 # Programs per beginning where the search is to be quick: 99 problems in 100 need no more.
 QUICK_PROGRAMS = 10
-STAGES = ("sweeps", "path")
+STAGES = ("sweeps", "path", "qp")
 CONTACT_SOLVERS = ("auto", "proxqp")
 # Delassus matrix, b and mu.
 _Problem = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -145,7 +145,7 @@ class ContactSolver:
 
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
-    quick:     gives up early: one path is followed, with few steps
+    quick:     gives up early: one path is followed, with few steps, and ProxQP has to be chosen
     nearest:   redundant forces may be the ones nearest to the last, or to what Gauss-Seidel has found, where those of
                least norm leave their cones; else other modes are looked for, and what slides has loads that do not
                depend on the past
@@ -300,7 +300,7 @@ class ContactSolver:
         """The solvers beyond the kernel's, one after the other: what `solve` does where its starts have failed.
 
         Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
-        homotopy; programs of ProxQP before these where they are chosen. Gauss-Seidel depends on the order of contacts;
+        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of contacts;
         afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no certificate
         proves that there are none.
         """
@@ -311,9 +311,9 @@ class ContactSolver:
         tried_already = self.task != NOTHING and bool(self.task & GAUSS_SEIDEL) and not afresh
         self.residual = float(space.reached[0]) if tried_already else np.inf
         stages = sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages
-        for stage in ("qp", *stages) if self.programs_first else stages:
+        for stage in sorted(stages, key="qp".__ne__) if self.programs_first else stages:
             if stage == "sweeps":
-                solved = not tried_already and self._gauss_seidel(problem, self.nearest)
+                solved = not tried_already and self._gauss_seidel(problem)
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             else:
@@ -323,10 +323,6 @@ class ContactSolver:
                 return True
             if self.jammed and not (afresh and self.certificate is None):
                 return False
-        # redundant forces of least norm may leave their cones where others do not
-        if not self.nearest and self._gauss_seidel(problem, nearest=True):
-            self._decide("sweeps")
-            return True
         return False
 
     def _decide(self, stage: str) -> None:
@@ -341,12 +337,12 @@ class ContactSolver:
         self.residual = found if found <= tolerance else min(found, self.residual)
         return found
 
-    def _gauss_seidel(self, problem: _Problem, nearest: bool) -> bool:
-        """Modes from projected Gauss-Seidel, from the last forces if there are any; nearest: see NEAREST."""
+    def _gauss_seidel(self, problem: _Problem) -> bool:
+        """Modes from projected Gauss-Seidel, from the last forces if there are any."""
         space, tolerance = self._space, STRICTNESS * self.tolerance
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
-        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if nearest else 0)
+        task = CLASSIFY + GAUSS_SEIDEL + (NEAREST if self.nearest else 0)
         return self._start(problem, task, tolerance) <= tolerance
 
     def _newton(self, problem: _Problem, tolerance: float) -> float:
@@ -390,6 +386,8 @@ class ContactSolver:
 
     def _programs(self, problem: _Problem, afresh: bool) -> bool:
         """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
+        if self.quick and not self.programs_first:
+            return False
         (delassus, b, mu), space = problem, self._space
         contacts = space.modes.size
         if contacts not in self._sequences:

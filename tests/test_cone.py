@@ -356,7 +356,7 @@ def test_many_contacts_are_solved(contacts):
 
 def alone(stage):
     """A solver that has nothing but this stage."""
-    return ContactSolver(stages=(), contact_solver="proxqp") if stage == "qp" else ContactSolver(stages=(stage,))
+    return ContactSolver(stages=("qp",), contact_solver="proxqp") if stage == "qp" else ContactSolver(stages=(stage,))
 
 
 @pytest.mark.parametrize("contacts", [2, 4, 8])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import linprog
 from test_loads import body_on_feet
@@ -71,3 +72,34 @@ def test_pushed_anyhow(seed):
     part = longest_hold(points, mu, push)
     # polygons of 256 sides, inscribed, are 8e-5 smaller
     assert onset(points, mu, 1.1 * part * push) == pytest.approx(1.0 / 1.1, rel=1.5e-4)
+
+
+@pytest.mark.parametrize("friction", [pc.Coulomb(0.7), pc.Coulomb(1.0), pc.NoSlip()], ids=str)
+@pytest.mark.parametrize("seed", range(12))
+def test_a_foot_tips_over_an_edge(seed, friction):
+    """As the zero-moment point comes to an edge of the foot, both corners beyond it lose their loads at once, in any
+    order: what others could carry there, forces inside their cones or none, is at the edge of them all."""
+    rng = np.random.default_rng(seed)
+    ends, height = rng.uniform(0.04, 0.15, (2, 2)), rng.uniform(0.3, 0.6)
+    corners = [(x, y, -height) for x in (ends[0, 0], -ends[0, 1]) for y in (ends[1, 0], -ends[1, 1])]
+    points = np.array([corners[i] for i in rng.permutation(4)])
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    push = np.array([math.cos(angle), math.sin(angle)])
+    ways = [ends[k, 0] / push[k] if push[k] > 0.0 else -ends[k, 1] / push[k] for k in range(2)]
+    tips = min(ways) / height * GRAVITY
+    scene = body_on_feet(points, [friction] * 4)
+    state = scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0], np.zeros(6))
+
+    def control(t, q, v):
+        return np.r_[pin.Quaternion(q[3:7]).matrix()[:2].T @ push * (10.0 * t), np.zeros(3)]
+
+    duration = 0.1 * tips + 0.1
+    run = pc.simulate(scene, state, duration, control=control)
+    assert run.status == 0, run.message
+    first = {event.contact: event.time for event in run.events if event.kind == "separate"}
+    assert len(first) == 2
+    # loads are known to be zero to 1e-8 of the largest, and fall for a second
+    np.testing.assert_allclose([*first.values()], 0.1 * tips, rtol=1e-6)
+    stepped = pc.simulate(scene, state, duration, control=control, method="Moreau", step=2e-4)
+    # it turns by some 0.1 rad, and begins to up to a step late
+    assert np.abs(run.q[-1] - stepped.q[-1]).max() < 1e-4

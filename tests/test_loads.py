@@ -27,7 +27,10 @@ def body_on_feet(points, mu, mass=1.0, inertia=None):
     for i, point in enumerate(points):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(point)))
         scene.add_contact(
-            f"foot {i}", foot, floor, friction=laws[i] if isinstance(laws[i], pc.Coulomb) else pc.Coulomb(laws[i])
+            f"foot {i}",
+            foot,
+            floor,
+            friction=laws[i] if isinstance(laws[i], (pc.Coulomb, pc.NoSlip)) else pc.Coulomb(laws[i]),
         )
     return scene
 

@@ -53,7 +53,7 @@ def errors(delassus, b, mu, forces):
 
 def alone(**options):
     """A solver that has nothing but the programs."""
-    return ContactSolver(stages=(), contact_solver="proxqp", **options)
+    return ContactSolver(stages=("qp",), contact_solver="proxqp", **options)
 
 
 @pytest.mark.parametrize("contacts, count", [(1, 40), (2, 60), (4, 60), (8, 60), (16, 30)])

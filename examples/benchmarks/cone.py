@@ -147,7 +147,7 @@ def residual(problem: Problem, forces: np.ndarray, coulomb: bool = True) -> floa
 
 def programs_alone() -> ContactSolver:
     """ProxQP's programs with no other solver behind them; Newton's method finishes and judges, as always."""
-    return ContactSolver(stages=(), contact_solver="proxqp")
+    return ContactSolver(stages=("qp",), contact_solver="proxqp")
 
 
 class Pincontact:

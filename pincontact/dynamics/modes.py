@@ -43,6 +43,7 @@ from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_
 from .directions import align_slips, freeze_slip
 from .mode_loads import LoadedCones
 from .passing_slip import PassingSlip
+from .redistribution import AT_ZERO
 from .single_mode_changes import ROUND_OFF, SingleModeChanges
 
 if TYPE_CHECKING:
@@ -245,8 +246,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         decision.residual = solution.residual
         self.worst_residual = max(self.worst_residual, decision.residual)
         velocities, kinds = solution.velocities, solution.modes
-        # as far as they are known
+        # as far as they are known; what carries nothing is at the edge of slip, as far as its load is known
         still = max(_STILL, _KNOWN * solution.residual) * solution.largest
+        loads = np.abs(solution.forces[[system.owner(i) for i in items], 2])
+        idle = AT_ZERO * float(np.abs(solution.forces[closed, 2]).max(initial=0.0))
         for c in closed:
             # among redundant contacts one may carry nothing without leaving
             if kinds[c] == cone.OPEN and integers[c, UNILATERAL]:
@@ -257,10 +260,11 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
                     integers[c, NORMAL_SIGN] = 0
             elif not integers[c, UNILATERAL]:
                 set_normal(system, c, solution.forces[c], self.force_round_off())
-        for i in items:
+        for i, load in zip(items, loads.tolist()):
             rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
+            slowest = still if load > idle else AT_ZERO * solution.largest
             # among redundant contacts one may be at its limit of friction without sliding
-            if integers[i, MODE] == STICK and kinds[i] != cone.STICK and rate > still:
+            if integers[i, MODE] == STICK and kinds[i] != cone.STICK and rate > slowest:
                 freeze_slip(system, i, velocities[i, :2])
                 decision.started[i] = rate
         for g in held:

@@ -55,7 +55,7 @@ _ROUND_OFF = 1e-11
 
 # A load that has come to zero is there within this part of the largest force: loads of slow slip change as fast as it
 # turns, and time has a round-off.
-_AT_ZERO = 1e-8
+AT_ZERO = 1e-8
 # Parts of the forces that are smaller move nothing.
 _MOVES = 1e-6
 
@@ -175,7 +175,7 @@ class RedundantForces:
         if ended is not None and ended not in closed:
             return False
         seen = set()
-        at_zero = max(self.force_round_off(), _AT_ZERO * float(np.abs(system.force).max()))
+        at_zero = max(self.force_round_off(), AT_ZERO * float(np.abs(system.force).max()))
         least = {c: -at_zero if c == ended else -self.force_round_off() for c in closed}
         self._take_reference(None)
         if ended is not None:

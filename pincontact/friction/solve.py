@@ -300,9 +300,9 @@ class ContactSolver:
         """The solvers beyond the kernel's, one after the other: what `solve` does where its starts have failed.
 
         Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
-        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of contacts;
-        afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no certificate
-        proves that there are none.
+        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of
+        contacts; afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no
+        certificate proves that there are none.
         """
         space = self._workspace(mu.shape[0])
         problem = delassus, b, mu

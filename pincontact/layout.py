@@ -79,8 +79,7 @@ COUNTERS = record(
 )
 
 # what kernels call by address: a Python function to be asked first, or 0, its arguments, and whether it is for places,
-# too; one or two of Pinocchio's
-# algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives
+# too; two of Pinocchio's algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives
 # places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the
 # two words that it begins with
 CALLBACK = record(

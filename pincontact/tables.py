@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     import xarray
 
-    from .tracks import Run
+    from .trajectory import Trajectory
 
 _AXES = ("x", "y", "z")
 # name in a track -> names of its further dimensions, unit, what it is
@@ -35,7 +35,7 @@ _OF_CONTACTS: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 
-def run_to_xarray(run: Run) -> xarray.Dataset:
+def run_to_xarray(run: Trajectory) -> xarray.Dataset:
     """See `Trajectory.to_xarray`."""
     package = required("xarray", "a Dataset needs xarray", "pincontact[data]")
     names = list(run.contacts)
@@ -67,7 +67,7 @@ def run_to_xarray(run: Run) -> xarray.Dataset:
     return package.Dataset(variables, coordinates, {"status": run.status, "message": run.message})
 
 
-def run_to_pandas(run: Run) -> pandas.DataFrame:
+def run_to_pandas(run: Trajectory) -> pandas.DataFrame:
     """See `Trajectory.to_pandas`."""
     package = required("pandas", "a DataFrame needs pandas", "pincontact[data]")
     columns: dict[str, np.ndarray] = {}
@@ -86,7 +86,7 @@ def run_to_pandas(run: Run) -> pandas.DataFrame:
     return package.DataFrame(columns, index=package.Index(run.t, name="t"))
 
 
-def _coordinate_names(run: Run, kind: str) -> list[str]:
+def _coordinate_names(run: Trajectory, kind: str) -> list[str]:
     """Names of the entries of q or v: the joint's, with an index where it has several."""
     if is_bare(run):
         return [str(i) for i in range((run.q if kind == "q" else run.v).shape[1])]

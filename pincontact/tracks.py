@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -12,11 +11,9 @@ import pinocchio as pin
 from .arguments import output_number
 from .contacts import AttachedContour, Contact, characteristic_length
 from .display import MODE_NAMES, html_table, known_range
-from .energies import Energies
 from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.open_contacts import OpenContacts
-from .integration.results import Event
 from .integration.run_system import RunSystem
 from .layout import (
     CHART,
@@ -29,6 +26,9 @@ from .layout import (
 )
 from .records import Recorded, load_output
 from .scene import Scene
+
+if TYPE_CHECKING:
+    from .trajectory import Trajectory
 
 # Outputs whose contacts are evaluated before they are put together: some MB.
 _CHUNK = 1024
@@ -184,31 +184,12 @@ class ContactTrack:
         }
 
 
-class Run(Protocol):
-    """What tables and plots are made of: a `Trajectory`."""
-
-    scene: Scene
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    status: int
-    message: str
-    events: list[Event]
-
-    @property
-    def contacts(self) -> Mapping[str, ContactTrack]: ...
-
-    def energies(self) -> Energies: ...
-
-    def residuals(self) -> dict[str, np.ndarray]: ...
-
-
-def is_bare(run: Run) -> bool:
+def is_bare(run: Trajectory) -> bool:
     """Whether the run was read from a file without its scene."""
     return bool(np.shape(run.q)[1] != run.scene.model.nq)
 
 
-def model_of(run: Run) -> pin.Model:
+def model_of(run: Trajectory) -> pin.Model:
     """The model of a run's scene; TrajectoryError for one without its scene."""
     if is_bare(run):
         raise TrajectoryError(

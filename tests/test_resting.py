@@ -12,7 +12,7 @@ from shared import one_body
 import pincontact as pc
 from pincontact.integration import events
 from pincontact.integration.resolution import roughness
-from pincontact.integration.sign_changes import resolve, with_dips
+from pincontact.integration.sign_changes import resolve, with_double_zeros
 from pincontact.integration.tableaux import tableau
 
 G = 9.81
@@ -359,7 +359,7 @@ def test_sign_changes_of_random_sines():
         if abs(abs(level) - 1.0) < 1e-4:
             continue
         function = lambda s: math.sin(omega * s + phase) - level  # noqa: E731, B023
-        samples = with_dips(function, resolve(function, function(0.0), function(1.0)))
+        samples = with_double_zeros(function, resolve(function, function(0.0), function(1.0)))
         signs = np.sign([value for _, value in samples])
         dense = np.sign(np.sin(omega * x + phase) - level)
         assert (signs[1:] != signs[:-1]).sum() == (dense[1:] != dense[:-1]).sum()

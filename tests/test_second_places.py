@@ -66,7 +66,7 @@ def test_a_second_place_is_told(shape, mu):
     touch = touches(pc.simulate(pair, pair.initial_state(at(shape, 0.2, 0.25), free=["c1"]), 0.4, rtol=1e-9))[0]
     for method, after in (("DOP853", 1e-3), ("Moreau", 1e-3), ("DOP853", 0.1)):
         run = pc.simulate(scene, state, touch + after, method=method)
-        assert run.status == -3 and "second place" in run.message, run.message
+        assert run.status == -3 and "another point" in run.message, run.message
         assert run.t[-1] <= touch + 2e-3 and run.t[-1] > touch - 0.05
         # events: a thousandth of the radius at 0.3 m/s at least, whenever it was to end
         told = float(run.message.removeprefix("t = ").split()[0])
@@ -84,7 +84,7 @@ def test_at_rest_across_a_trough(method):
     for shape in SHAPES:
         scene = scene_of(shape)
         run = pc.simulate(scene, scene.initial_state(at(shape, TROUGH, height)), 0.5, method=method)
-        assert run.status == -3 and "second place" in run.message
+        assert run.status == -3 and "another point" in run.message
         pair = scene_of(shape, contacts=2, mu=0.5)
         state = pair.initial_state(at(shape, TROUGH, height))
         run = pc.simulate(pair, state, 0.5, method=method)
@@ -106,7 +106,7 @@ def test_at_rest_across_the_only_trench(method):
     scene.add_contour("ground", pc.HeightField(lambda x, y: -0.05 * np.exp(-((x / 0.05) ** 2))))
     scene.add_contact("c", "shape", "ground", friction=pc.Coulomb(0.6))
     run = pc.simulate(scene, scene.initial_state(at(pc.Sphere(radius), 0.0, height)), 0.1, method=method)
-    assert run.status == -3 and "second place" in run.message
+    assert run.status == -3 and "another point" in run.message
     assert height - 1e-3 < run.q[-1, 2] <= height + 1e-6
 
 
@@ -423,7 +423,7 @@ def test_balls_roll_onto_narrow_places(kind, method):
         width, up = rng.uniform(0.07, 0.4) * radius, 1.0 if kind in ("ridge", "bump", "step") else -1.0
         shape = narrow(kind, width, up * rng.uniform(0.5, 1.8) * width)
         run = rolls(seed, pc.HeightField(shape, domain=((-15.0, 15.0), (-15.0, 15.0))), radius, method)
-        assert run.status == 0 or "second place" in run.message, (seed, run.message)
+        assert run.status == 0 or "another point" in run.message, (seed, run.message)
         told += run.status != 0
         # a step of 1 ms at the speeds of these balls
         assert inside(run.q, shape, radius) < (5e-3 if method == "Moreau" else 1e-5), seed

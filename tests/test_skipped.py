@@ -84,7 +84,7 @@ def test_one_pinocchio_call_an_evaluation(name, monkeypatch):
         # what finding the contact costs is not the run's
         state = scene.initial_state(q, v, free=free)
         monkeypatch.setattr(pinocchio_calls, "_native_calls", lambda *_: None)
-        for algorithm in ("computeAllTerms", "computeJointJacobiansTimeVariation"):
+        for algorithm in ("rnea", "computeJointJacobiansTimeVariation"):
             monkeypatch.setattr(pin, algorithm, counted(getattr(pin, algorithm)))
         return pc.simulate(scene, state, 1.0, **{"t_eval": [1.0], **options})
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # Directions that move tasks, efforts or forces by less than this part of what moves them most do not move them.
 _NULL, _CLEARLY = 1e-9, 1e-12
 # Iterations for the directions of normal forces of contacts that cannot open, and their tolerance.
-_ROUNDS, _SETTLED = 20, 1e-9
+_ROUNDS, _CONVERGED = 20, 1e-9
 
 
 class Solved:
@@ -117,7 +117,7 @@ class InverseProgram:
         failure = SolverError("the nearest accelerations are others")
         for sign in (1.0, -1.0):
             try:
-                found = self._settle(wanted, sign, two_sided)
+                found = self._find_directions(wanted, sign, two_sided)
             except SolverError as error:
                 failure = error
                 continue
@@ -132,7 +132,7 @@ class InverseProgram:
             f"{', '.join(repr(system.contacts[c].name) for c in two_sided)}: {failure}"
         )
 
-    def _settle(self, wanted: Wanted, sign: float, two_sided: list[int]) -> Solved:
+    def _find_directions(self, wanted: Wanted, sign: float, two_sided: list[int]) -> Solved:
         """With the directions of normal forces that agree with these, from those without the contacts' cones on."""
         instant, unlimited = self.instant, two_sided
         shares: dict[tuple[int, int], float] = {}
@@ -140,13 +140,13 @@ class InverseProgram:
             found = self._solve_in_units(wanted, shares, sign, unlimited)
             problem = found.problem
             again = shares_of(instant, problem.items, found.components)
-            if not unlimited and np.abs(again - problem.shares).max(initial=0.0) <= _SETTLED:
+            if not unlimited and np.abs(again - problem.shares).max(initial=0.0) <= _CONVERGED:
                 return found
             if unlimited and sign < 0.0:
-                # the other way than what the first attempt came from
+                # the other way than what the first pass came from
                 again = np.where([c in two_sided and row != 0 for c, row in problem.items], -again, again)
             unlimited, shares = [], dict(zip(problem.items, again.tolist()))
-        raise SolverError("the directions of normal forces do not settle")
+        raise SolverError("the directions of normal forces do not converge")
 
     # ---------------------------------------------------------------- levels
 

@@ -127,8 +127,7 @@ def call_pinocchio(system, part):
         return call_python(callback.placed, callback.placed_with, callback.call_failed)
     if not call_python(callback.called, callback.called_with, callback.call_failed):
         return False
-    follows = callback.called_next
-    return follows == 0 or call_python(follows, callback.called_next_with, callback.call_failed)
+    return call_python(callback.called_next, callback.called_next_with, callback.call_failed)
 
 
 @kernel

@@ -76,18 +76,6 @@ class PinocchioCalls:
         self._rest, self._vectors = rest, [_as_ref(array) for array in (q, v, rest)]
         self.native = _native_calls(model, data, self._vectors)
         self.model_words = (0, 0) if self.native is None else _words_at(int(self.native[0, 1]))
-        if self.native is None and _takes_one_call(model):
-            self.algorithms = [(pin.computeAllTerms, (model, data, q, v))]
-            self.algorithms[0][0](model, data, q, v)
-            self.bias_forces = data.nle
-
-
-def _takes_one_call(model: pin.Model) -> bool:
-    """Whether all of Pinocchio's terms at once are cheaper through Python than the two algorithms that are needed.
-
-    A call costs half a microsecond; beyond two joints what is left out costs more.
-    """
-    return model.njoints <= 3
 
 
 def _native_calls(model: pin.Model, data: pin.Data, vectors: list[np.ndarray]) -> np.ndarray | None:

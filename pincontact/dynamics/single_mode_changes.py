@@ -88,7 +88,7 @@ class SingleModeChanges(RedundantForces):
 
         Viscous friction ends as a contact opens. Where it pushes the bodies apart, they would close again at once: the
         contact can neither stay closed nor open. Between both, a part of the friction keeps it where it is (the
-        solution of Filippov, and the limit of ever shorter hops).
+        solution of Filippov, and the limit of ever shorter rebounds).
         """
         system = self.system
         integers = system.contact_int[c]

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from ..contours import Contour, Motion
+if TYPE_CHECKING:
+    from ..contacts import AttachedContour
 
 # So many configurations, as far from the neutral one, at instants so far apart, in s.
 _SAMPLES, _FAR, _LATER = 4, 0.7, 0.37
 _TOLERANCE = 1e-9
 
 
-class Carried(Protocol):
-    """A contour on a joint (0: the world), with its placement there and its own motion."""
-
-    @property
-    def contour(self) -> Contour: ...
-    @property
-    def joint(self) -> int: ...
-    @property
-    def placement_in_joint(self) -> pin.SE3: ...
-    @property
-    def motion(self) -> Motion | None: ...
-
-
-def moves_in_plane(model: pin.Model, body1: Carried, body2: Carried) -> bool:
+def moves_in_plane(model: pin.Model, body1: AttachedContour, body2: AttachedContour) -> bool:
     """Whether contour 1 stays in the xy-plane of contour 2 in every configuration.
 
     Tested where it must hold: at a few configurations made from fixed pseudo-random velocities, the relative
@@ -62,7 +50,7 @@ def moves_in_plane(model: pin.Model, body1: Carried, body2: Carried) -> bool:
     return True
 
 
-def pose_of(data: pin.Data, body: Carried, t: float) -> pin.SE3:
+def pose_of(data: pin.Data, body: AttachedContour, t: float) -> pin.SE3:
     """Placement of a contour in the world, of joints as in the data."""
     pose = data.oMi[body.joint] * body.placement_in_joint
     if body.motion is not None:
@@ -70,7 +58,7 @@ def pose_of(data: pin.Data, body: Carried, t: float) -> pin.SE3:
     return pose
 
 
-def _jacobian(model: pin.Model, data: pin.Data, body: Carried, at: pin.SE3) -> np.ndarray:
+def _jacobian(model: pin.Model, data: pin.Data, body: AttachedContour, at: pin.SE3) -> np.ndarray:
     """(6, nv): velocity of the body's point at `at`, and its angular velocity, world axes."""
     if body.joint == 0:
         return np.zeros((6, model.nv))

@@ -38,7 +38,7 @@ _FINE = 0.25
 
 
 def touches_once(system: Workspace, c: int) -> bool:
-    """Whether the contours of contact c, as it is evaluated, can touch at no second place at the same time; not where
+    """Whether the contours of contact c, as it is evaluated, can touch at no other point at the same time; not where
     that is not known."""
     contours = system.contacts[c].body1.contour, system.contacts[c].body2.contour
     if any(contour.dimension == 0 for contour in contours):

@@ -34,14 +34,16 @@ SHALLOW, LEAPS = 0.05, 1e-3
 APART_AT_END = 1e-6
 # What is slower than this (m/s or rad/s, absolute and relative to the largest velocity) is at rest where modes are set.
 REST = 1e-9
-# Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
+# Part of the accuracy of gaps to which rebounds are resolved, and round-off of gaps, relative to coordinates of unit
+# size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
-# That is so many times more, speeds twice as high, where hops lower than that accuracy do not get lower.
+# That is so many times more, speeds twice as high, where rebounds lower than that accuracy do not get lower.
 _COARSER = 4.0
 # What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
 # motions keep their symmetries up to round-off, whatever their error.
 _AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
-# The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
+# The same part where viscous friction makes rebounds ever shorter: each one left out takes the root of its height in
+# speed.
 _RESOLVED_VISCOUS = 1e-3
 
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
@@ -51,10 +53,10 @@ _NEXT_TO_NOTHING = 1e-6
 
 def sizes_of_gaps(system: System) -> tuple[np.ndarray, np.ndarray]:
     """(items,) lengths in m that gaps are compared with, joint coordinates with 1, and to which part of the accuracy of
-    gaps hops are resolved.
+    gaps rebounds are resolved.
 
-    With viscous friction, which ends as a contact opens, hops may get shorter without end: there they are resolved less
-    far.
+    With viscous friction, which ends as a contact opens, rebounds may get shorter without end: there they are resolved
+    less far.
     """
     lengths, resolved = np.ones(system.items), np.full(system.items, _RESOLVED)
     lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
@@ -64,7 +66,7 @@ def sizes_of_gaps(system: System) -> tuple[np.ndarray, np.ndarray]:
 
 def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     """From the tolerances of a run: the errors of gaps in m, and of the distances of joint coordinates from their ends,
-    in m or rad, and how low hops are that are none.
+    in m or rad, and how low rebounds are that are none.
 
     They are GAP_TOLERANCE times the tolerance of positions.
     """
@@ -75,13 +77,13 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
 
 
 def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
-    """Item i comes back from a hop at this speed, in m/s or rad/s. low: from no higher than gaps are known.
+    """Item i comes back from a rebound at this speed, in m/s or rad/s. low: from no higher than gaps are known.
 
     Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
-    low hops that do not get lower are resolved less and less far.
+    low rebounds that do not get lower are resolved less and less far.
     """
     if not low:
-        # what strikes from high throws off what is at rest: hops of their own, unlike those of stops that rattle
+        # what strikes from high throws off what is at rest: rebounds of their own, unlike those of stops that rattle
         begun = slice(0, system.nc) if i < system.nc else slice(i, i + 1)
         system.lowest_hops[begun], system.hop_speeds[begun] = system.finest_hops[begun], math.inf
     elif speed >= system.hop_speeds[i]:
@@ -90,7 +92,7 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
 
 
 def gap_resolution(system: RunSystem) -> np.ndarray:
-    """(items,) how low hops are that are none, and how far open gaps may be below zero, in m or rad.
+    """(items,) how low rebounds are that are none, and how far open gaps may be below zero, in m or rad.
 
     Gaps are computed from the configuration to round-off, however large its error is.
     """

@@ -14,7 +14,7 @@ from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
 from .dense import Interpolant
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, MOST_LOOKS, Samples, asked_once, crossing_between, resolve, with_dips
+from .sign_changes import ACCURACY, MOST_LOOKS, Samples, asked_once, crossing_between, resolve, with_double_zeros
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
@@ -93,7 +93,7 @@ class UserEvent:
         resolved = len(samples) < most
         if self.lost_from is None and not resolved:
             self.lost_from = t
-        return with_dips(value, samples), resolved
+        return with_double_zeros(value, samples), resolved
 
 
 def lost_zeros(events: Sequence[UserEvent]) -> str:
@@ -154,7 +154,7 @@ class UserEvents:
         samples = resolve(value, event.value, self._at_end[event.index], _FEW_LOOKS)
         if len(samples) >= _FEW_LOOKS:
             return True
-        samples = with_dips(value, samples)
+        samples = with_double_zeros(value, samples)
         sizes = [abs(size) for _, size in samples]
         turns = any(before * after <= 0.0 for (_, before), (_, after) in pairwise(samples))
         return turns or min(sizes) < _NEAR * max(sizes)

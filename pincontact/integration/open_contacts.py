@@ -1,5 +1,5 @@
 """Open contacts: how far a step may go before they could touch, the nearest points at which they would, and on which
-side of each other their bodies are; and closed ones, whose bodies may touch at a second place."""
+side of each other their bodies are; and closed ones, whose bodies may touch at another point."""
 
 from __future__ import annotations
 

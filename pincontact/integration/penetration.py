@@ -2,7 +2,8 @@
 by less than gaps are known.
 
 Ideal rolling is let go with a force. Without F_t the second derivative of its gap jumps to -J_n M^-1 J_t^T F_t. Where
-that is negative, but rises, the gap dips before it opens by itself. A dip that is small enough is tolerated.
+that is negative, but rises, the bodies penetrate before the contact opens by itself. A penetration that is small enough
+is tolerated.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from .accuracy import gap_rate, gap_resolution, gaps_at_once
 from .results import Event
 from .runge_kutta import RungeKutta
 
-# Ideal rolling that is let go with a force may dip by this part of the contact's length before it opens by itself, too
-# little to be seen. A disk that rolls off a sphere, as the references know it, does by 4.4e-4, foreseen to 3 %.
+# Ideal rolling that is let go with a force may penetrate by this part of the contact's length before it opens by
+# itself, too little to be seen. A disk that rolls off a sphere, as the references know it, does by 4.4e-4, foreseen to
+# 3 %.
 _DEEPEST = 1e-3
-# A dip this many times deeper than was foreseen is none, and touches.
+# A gap this many times deeper than was foreseen does not open by itself, and touches.
 _SLACK = 2.0
-# A dip is foreseen when its end is to this part of its depth.
+# A penetration is foreseen when its end is to this part of its depth.
 _BACK = 0.1
 _TRIALS = 10
 
@@ -48,7 +50,7 @@ class Penetration:
         return float(self._rk.system.gap_accuracy[c])
 
     def resolution(self, c: int) -> float:
-        """Height in m below which a hop of contact c is none."""
+        """Height in m below which a rebound of contact c is none."""
         return float(gap_resolution(self._rk.system)[c])
 
     def slack(self, c: int) -> float:
@@ -96,7 +98,8 @@ class Penetration:
 
     def closes_again(self, t: float, c: int, tau: float) -> bool:
         """Whether ideal rolling whose normal force is zero in the accepted state would close if it were let go; where
-        it would only dip, its dip is tolerated. tau: see `_foresee`. The accepted state's evaluation is lost.
+        it would only penetrate a little, that is tolerated. tau: see `_foresee`. The accepted state's evaluation is
+        lost.
         """
         system, modes = self._rk.system, self._modes
         integers, limits, forces = system.contact_int.copy(), system.joint_int.copy(), modes.reference()
@@ -109,11 +112,11 @@ class Penetration:
         modes.take_back(forces)
         if depth == math.inf:
             return True
-        self._tolerate_dip(c, depth)
+        self._tolerate_penetration(c, depth)
         return False
 
     def begin(self, t: float, tau: float) -> bool:
-        """Tolerate the dips in the midst of which a run starts; False where the start cannot be evaluated any more."""
+        """Tolerate penetrations in which a run starts; False where the start cannot be evaluated any more."""
         rk, system = self._rk, self._rk.system
         integers, numbers = system.contact_int[: system.nc], system.contact_real[: system.nc]
         rolled = (integers[:, MODE] == FREE) & (integers[:, UNILATERAL] != 0) & np.isinf(numbers[:, MU])
@@ -123,16 +126,16 @@ class Penetration:
                 continue
             depth = self._foresee(t, c, tau, gap, gap_rate(system, c))
             if depth < math.inf:
-                self._tolerate_dip(c, depth)
+                self._tolerate_penetration(c, depth)
             if rk.evaluate_start(t) > EVENT:
                 return False
         return True
 
     def _deepest(self, c: int) -> float:
-        """How deep in m contact c may dip."""
+        """How deep in m contact c may penetrate."""
         return max(_DEEPEST * float(self._rk.system.contact_real[c, LENGTH]), self.accuracy(c))
 
-    def _tolerate_dip(self, c: int, depth: float) -> None:
+    def _tolerate_penetration(self, c: int, depth: float) -> None:
         if depth > 0.0:
             self.tolerate(c, _SLACK * depth)
 
@@ -141,8 +144,8 @@ class Penetration:
         tolerated, or it does not recover.
 
         tau: time in s over which the rate j of the gap's second derivative a is first measured; gap, rate: its value
-        in m and first derivative. With a constant j it dips from 0 and 0 by 2 |a|^3 / (3 j^2) and is back after
-        3 |a| / j. Trial steps over the whole dip show where it is then, and the mean of j until then. The accepted
+        in m and first derivative. With a constant j it falls from 0 and 0 by 2 |a|^3 / (3 j^2) and is back after
+        3 |a| / j. Trial steps over all of that show where it is then, and the mean of j until then. The accepted
         state's evaluation is lost.
         """
         first = math.nan

@@ -62,7 +62,7 @@ FAILURES = {
     ),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,
-        "the bodies touch at a second place: declare another contact of these two contours, which starts open",
+        "the pair touches at another point: declare another contact of these two contours, which starts open",
     ),
 }
 

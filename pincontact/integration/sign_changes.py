@@ -143,8 +143,8 @@ def _rough(values: list[float]) -> bool:
     return rough > max(RESOLVED, FAR * (least / largest))
 
 
-def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:
-    """The samples, and those places where the function dips through zero between them and comes back."""
+def with_double_zeros(value: Callable[[float], float], samples: Samples) -> Samples:
+    """The samples, and those places between them where the function has gone through zero and comes back."""
     found = []
     for triple in zip(samples, samples[1:], samples[2:]):
         sign = 1.0 if triple[1][1] > 0.0 else -1.0

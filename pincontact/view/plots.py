@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..friction.laws import FrictionLaw
-    from ..tracks import ContactTrack, Run
+    from ..tracks import ContactTrack
+    from ..trajectory import Trajectory
 
 # A legend has columns of so many rows.
 _LEGEND_ROWS = 16
@@ -58,7 +59,7 @@ def _axes(ax: Axes | None) -> Axes:
     return _pyplot().subplots(layout="constrained")[1] if ax is None else ax
 
 
-def _tracks(run: Run, contact: str | None) -> dict[str, ContactTrack]:
+def _tracks(run: Trajectory, contact: str | None) -> dict[str, ContactTrack]:
     """The tracks to draw, by name. Raises ArgumentError for a contact the run does not have."""
     if contact is None:
         return dict(run.contacts)
@@ -80,7 +81,7 @@ def _finish(ax: Axes, ylabel: str, legend: bool = True) -> Axes:
     return ax
 
 
-def _color(run: Run, name: str) -> str:
+def _color(run: Trajectory, name: str) -> str:
     """The colour of a contact in every picture."""
     return contact_color(list(run.contacts).index(name))
 
@@ -89,12 +90,12 @@ def _label(name: str, text: str, tracks: dict[str, ContactTrack]) -> str:
     return text if len(tracks) == 1 else f"{name}: {text}"
 
 
-def _law(run: Run, name: str) -> FrictionLaw | None:
+def _law(run: Trajectory, name: str) -> FrictionLaw | None:
     """The friction law of a contact; None where there is none, or the run was read from a file without its scene."""
     return run.scene.contacts[name].friction if name in run.scene.contacts else None
 
 
-def limit(run: Run, name: str) -> np.ndarray | None:
+def limit(run: Trajectory, name: str) -> np.ndarray | None:
     """Largest dry friction force that the law of a contact allows.
 
     Sliding contacts have the coefficient of their speed, all others the one up to which they stick.
@@ -116,7 +117,7 @@ def limit(run: Run, name: str) -> np.ndarray | None:
 
 
 def mode_bands(
-    run: Run,
+    run: Trajectory,
     contact: str,
     ax: Axes,
     part: tuple[float, float] = (0.0, 1.0),
@@ -163,7 +164,7 @@ def mode_bands(
     return ax
 
 
-def motion(run: Run, ax: Axes | None = None, velocities: bool = False) -> Axes:
+def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) -> Axes:
     """Configuration or velocity over time, named after the joints.
 
     Orientations are rotation vectors (axis times angle), continuous through whole turns; angles count turns.
@@ -233,7 +234,7 @@ def _rotation_vectors(quaternions: np.ndarray) -> np.ndarray:
     return vectors
 
 
-def forces(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes:
+def forces(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
     """Normal and friction force in N over time, with the largest friction that the law allows (dashed).
 
     Parameters
@@ -273,7 +274,7 @@ def forces(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes
     return _finish(ax, "force [N]")
 
 
-def friction_cone(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes:
+def friction_cone(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
     """Friction force against normal force in N, coloured by mode, with the cone's edge |F_t| = mu F_n (Sec. 5.3).
 
     Parameters
@@ -318,7 +319,7 @@ def friction_cone(run: Run, contact: str | None = None, ax: Axes | None = None) 
     return ax
 
 
-def _mode_strips(run: Run, names: list[str], ax: Axes) -> None:
+def _mode_strips(run: Trajectory, names: list[str], ax: Axes) -> None:
     """One strip a contact above the axes, its name beside it, in the contact's colour; the modes' colours below all."""
     height = _STRIP if len(names) <= _MANY_STRIPS else _STRIP * _MANY_STRIPS / len(names)
     strips = ax.inset_axes((0.0, 1.02, 1.0, height * len(names)), sharex=ax)
@@ -339,7 +340,7 @@ def _mode_strips(run: Run, names: list[str], ax: Axes) -> None:
         ax.fill_between([], [], color=MODE_COLORS[kind], alpha=0.8, linewidth=0.0, label=MODE_NAMES[kind])
 
 
-def slip(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes:
+def slip(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
     """Slip speed in m/s over time, with the modes: shaded for one contact, as strips above the plot for several.
 
     Parameters
@@ -373,7 +374,7 @@ def slip(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes:
     return _finish(ax, "slip speed [m/s]")
 
 
-def location(run: Run, contact: str | None = None, ax: Axes | None = None) -> Axes:
+def location(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
     """Location parameters of the contact point on both contours over time, in m or rad; broken where a chart ends.
 
     Parameters
@@ -411,7 +412,7 @@ def location(run: Run, contact: str | None = None, ax: Axes | None = None) -> Ax
     return _finish(ax, "location [m, rad]")
 
 
-def energy(run: Run, ax: Axes | None = None) -> Axes:
+def energy(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Kinetic and potential energy, their sum, and the works that the run recorded, in J over time.
 
     A work that is zero throughout, to rounding, such as that of prescribed motions where there are none, is left out.
@@ -444,7 +445,7 @@ def energy(run: Run, ax: Axes | None = None) -> Axes:
     return _finish(ax, "energy [J]")
 
 
-def residuals(run: Run, ax: Axes | None = None) -> Axes:
+def residuals(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Residuals of the constraints over time, on a logarithmic scale; exact zeros have no place on it.
 
     Parameters
@@ -483,7 +484,7 @@ _CONTACT_KINDS = ("forces", "cone", "slip", "location")
 
 
 def plot(
-    run: Run, kinds: str | Sequence[str] | None = None, axes: Axes | Sequence[Axes] | np.ndarray | None = None
+    run: Trajectory, kinds: str | Sequence[str] | None = None, axes: Axes | Sequence[Axes] | np.ndarray | None = None
 ) -> Figure:
     """Several plots of a run in one figure.
 

@@ -56,8 +56,12 @@ _SHORTEST_STEP = float(np.finfo(float).eps)
 _LARGEST_ROUNDING = 1e-8
 # What ends a run whose motion may go on all the same.
 _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
-# Gain of energy, see `energy_gained`, that a run of time stepping reports.
-_TOLD_GAIN = 1e-3
+# Errors of energy that a run of time stepping reports, by their names in its stats, and from which size on.
+_TOLD = {
+    "energy_gained": "the energy has grown",
+    "energy_error": "contact forces have changed the energy, as the geometry changes in a step,",
+}
+_TOLD_FROM = 1e-3
 _BAR = "{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
 
 Control = Callable[[float, np.ndarray, np.ndarray], "ArrayLike"]
@@ -415,10 +419,11 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
         stats = {**done, **_counts(system), **stepper.stats, "wall_time": wall_time}
         run = Trajectory(scene, *record.rows(scene), driver.events, code, message, stats)
         if system.is_passive:
-            stats["energy_gained"] = gained = energy_gained(scene.model, run.q, run.v)
-            if gained > _TOLD_GAIN:
-                remark = f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
-                run.message = sentence(message + remark)
+            stats["energy_gained"] = energy_gained(scene.model, run.q, run.v)
+        for name, what in _TOLD.items():
+            if stats.get(name, 0.0) > _TOLD_FROM:
+                message += f"; {what} by {stats[name]:.2g} of the largest, which shorter steps lessen"
+        run.message = sentence(message)
         return finish(run)
 
     run = request.run(driver, result)

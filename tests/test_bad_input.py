@@ -549,8 +549,7 @@ def test_times_that_are_rounded_are_told(scene, state, method, start, rounding):
     run = pc.simulate(
         scene, dataclasses.replace(state, t=start), 1.0, method=method, dt=100.0 if method == "Moreau" else None
     )
-    told = f"; times near {start:.6g} s are rounded by {rounding} s, of 1 s."
-    assert run.message.endswith(told)
+    assert f"; times near {start:.6g} s are rounded by {rounding} s, of 1 s" in run.message
     assert "rounded" not in pc.simulate(scene, state, 0.0).message
 
 

@@ -43,12 +43,15 @@ UNASKED, WANTED, IN_VAIN, LOOKED_FOR = range(4)
 # bounds between which it is looked for. load_change: by how much the last review changed loads that the problem takes
 # as given, relative to their size. free_change: norm of the change of velocity without impulses, in the metric of
 # the masses; miss: how far the midpoint's velocity was from the step's mean velocity, relative to that, in this metric.
-# made: the energy that contacts make in the step (see `impulse_works`), over the square of that mean velocity.
+# made: the energy in J that the step makes by its error (see `impulse_works`), moving: the square of that velocity,
+# twice the kinetic energy or thereabouts. made_so_far: by all accepted steps, the least and the most that it ever was,
+# and the most that ever moved.
 # weight: of the step's end in the forces of actuators, see `actuators`. Of a run, in s: its start and end and the size
 # of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
-    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "load_change", "free_change", "miss", "made", "weight"),
+    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "load_change", "free_change", "miss", "weight"),
+    *("made", "moving", "made_so_far", "least_made", "most_made", "most_moving"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
 # What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result
@@ -138,6 +141,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "seen_v": (REALS, "nv"),
     "turning_rate": (REALS, "nv"),
     "inertias": (REALS, "blocks", INERTIA_SIZE),
+    # the velocity at the step's end, before it is put on the constraints
+    "unprojected_v": (REALS, "nv"),
     # v_free - v_0, the displacement, and that over the step size
     "change": (REALS, "nv"),
     "displacement": (REALS, "nv"),

@@ -172,7 +172,7 @@ def _lowers_restitution(step, nv, h, scratch):
     another part."""
     numbers = step.numbers
     on_contacts, on_joints, size, excess = impulse_work(step, nv, h, scratch)
-    creates = on_contacts + on_joints > ENERGY_SLACK * size or excess > 0.0
+    creates = max(on_contacts + on_joints, excess) > ENERGY_SLACK * size
     if not creates and (numbers.kept == 1.0 or numbers.kept_high - numbers.kept_low < KEPT_ACCURACY):
         return False
     kept = numbers.kept

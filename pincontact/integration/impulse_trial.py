@@ -67,9 +67,10 @@ from .impulse_leaps import has_come_to_another, is_deeper, leaps
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
+from .impulse_works import energy_put_right
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
-from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS, OVERLAPS_AT_END
+from .results import CLOSED_APART, CONTOUR_ENDS, LEAPT, MOTION_JUMPS, OFF_BALANCE, OVERLAPS_AT_END
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
@@ -575,15 +576,19 @@ def trial_step(system, step, t, h, found):
             break
         counts.passes, counts.has_trend = max(before, 1) + 1, MEAN_VELOCITY
     counts.has_trend = counts.trend_before
-    if status == OK and numbers.made > _LOST:
-        # of the energy twice that part of the velocity, which is off by as much
-        status = TOO_LONG
     if status != OK:
         return status
+    nq, nv, ahead, state = system.sizes.nq, system.sizes.nv, step.unprojected_v, system.stage_state
+    for k in range(nv):
+        ahead[k] = state[nq + k]
     status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)
+    numbers.made += energy_put_right(system, ahead, state[nq : nq + nv])
     if system.callback.asked_for_places != 0 and status in (OK, CLOSED_APART):
         counts.jumped = driven_apart(system, step, h)
         if counts.jumped >= 0:
             return MOTION_JUMPS
+    if status == OK and abs(numbers.made) > _LOST * numbers.moving:
+        # of the energy twice that part of the velocity, which is off by as much
+        return OFF_BALANCE
     find_joint_states(system, step)
     return status if status != OK else _review_end(system, step, h)

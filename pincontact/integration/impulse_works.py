@@ -126,6 +126,28 @@ def energy_made(system, step):
 
 
 @kernel
+def energy_put_right(system, before, after):
+    """Kinetic energy in J that putting the step's end on the constraints makes, or less than none, by changing the
+    velocities before (nv,) to those after."""
+    mass, made = system.mass, 0.0
+    for i in range(system.sizes.nv):
+        change, whole = after[i] - before[i], after[i] + before[i]
+        made += 0.5 * mass[i, i] * change * whole
+        for k in range(i):
+            made += 0.5 * mass[i, k] * (change * (after[k] + before[k]) + (after[k] - before[k]) * whole)
+    return made
+
+
+@kernel
+def count_energy_made(numbers):
+    """Add up what the accepted steps have made."""
+    numbers.made_so_far += numbers.made
+    numbers.least_made = min(numbers.least_made, numbers.made_so_far)
+    numbers.most_made = max(numbers.most_made, numbers.made_so_far)
+    numbers.most_moving = max(numbers.most_moving, numbers.moving)
+
+
+@kernel
 def _work_of_drives(system, step):
     """What prescribed motions do: what impulses do on the joints less what they do on v_c."""
     nv, v0, side_int, work = system.sizes.nv, step.transported_v, system.side_int, 0.0

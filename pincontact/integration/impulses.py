@@ -91,7 +91,7 @@ from .impulse_review import ANEW, DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_viscous import add_viscous_impulses, shares_viscous
-from .impulse_works import add_works, energy_made, velocity_change
+from .impulse_works import add_works, count_energy_made, energy_made, velocity_change
 from .momentum_transport import find_inertias, transport, turning_rate
 from .stages import hand_over
 
@@ -363,7 +363,7 @@ def advance(system, step):
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers.free_change**2
     numbers.miss = math.sqrt(miss / speed) if miss > 0.0 else 0.0
-    numbers.made = energy_made(system, step) / speed if speed > 0.0 else 0.0
+    numbers.made, numbers.moving = energy_made(system, step), speed
     if total - total != 0.0:
         return NOT_FINITE
     if step.counts.actuators > 0:
@@ -412,6 +412,8 @@ def commit(system, step, stepped):
     sizes, counts, h = system.sizes, step.counts, step.numbers.h
     nq, nv, stage = sizes.nq, sizes.nv, system.stage_state
     state, start_q, start_v, trend, seen_v = system.state, step.start_q, step.start_v, step.trend, step.seen_v
+    if stepped != 0:
+        count_energy_made(step.numbers)
     for i in range(sizes.ny):
         state[i] = stage[i]
     for i in range(nq):

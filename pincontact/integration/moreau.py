@@ -46,6 +46,7 @@ from .results import (
     FLIES_THROUGH,
     LEAPT,
     MOTION_JUMPS,
+    OFF_BALANCE,
     OVERLAPS_AT_END,
     TOUCHES_AROUND,
     TOUCHES_TWICE,
@@ -70,7 +71,7 @@ _TURNS_FAR = 0.3
 # Parts, by halves, into which a step is divided at most.
 _MOST_PARTS = 256
 # What fails so is divided: contacts are not where they go in the step.
-_DIVIDED = LEAPT, LOCATION_FAILED
+_DIVIDED = LEAPT, LOCATION_FAILED, OFF_BALANCE
 
 # Kernels that steps call by address.
 _CALLED = {"run_task": run_task, "solve_cones": solve_cones, "assemble": assemble, "move_charts": move_charts}
@@ -443,7 +444,8 @@ class MoreauStep:
     @property
     def stats(self) -> dict[str, Any]:
         """Cone problems so far, as `Trajectory.stats` has them."""
-        counts, cones = self._counts, self.cones
+        counts, numbers, cones = self._counts, self._numbers, self.cones
+        made, moving = float(numbers["most_made"] - numbers["least_made"]), 0.5 * float(numbers["most_moving"])
         return {
             "cone_problems": cones.left + int(counts["solved"]),
             "rigid": int(counts["rigid_steps"]),
@@ -452,7 +454,8 @@ class MoreauStep:
             "open_loads": int(counts["open_loads"]),
             "decided": cones.solver.decided,
             **cones.solver.program_counts,
-            "cone_residual": float(self._numbers["cone_residual"]),
+            "cone_residual": float(numbers["cone_residual"]),
+            "energy_error": made / moving if moving > 0.0 else 0.0,
         }
 
     def describe(self, status: int, t: float) -> Stop:

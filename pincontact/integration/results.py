@@ -31,7 +31,7 @@ OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while s
 # jump; a closed contact has not been followed; bodies touch all around, or where nothing was found before, or overlap
 # where they come into a contour from its end.
 CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH, TOUCHES_TWICE, MOTION_JUMPS, LEAPT = range(50, 57)
-TOUCHES_AROUND, TOUCHES_UNSEEN, OVERLAPS_AT_END = 57, 58, 59
+TOUCHES_AROUND, TOUCHES_UNSEEN, OVERLAPS_AT_END, OFF_BALANCE = range(57, 61)
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -49,6 +49,10 @@ FAILURES = {
         SINGULAR_CONTACT,
         "the bodies touch along a line or a circle, as on an axis of symmetry, and not at a point: they start or move "
         "too symmetrically",
+    ),
+    OFF_BALANCE: (
+        STEP_TOO_LONG,
+        "the step is too long for this motion: contact forces add to its energy, or take from it, by themselves",
     ),
     LEAPT: (STEP_TOO_LONG, "the step is too long for this motion: a contact leaps to another place"),
     TOUCHES_UNSEEN: (

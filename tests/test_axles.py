@@ -62,25 +62,33 @@ def saddle(x0, y0):
 
 def compare(scene, state):
     """A run gets to its end, without energy from nowhere, and where time stepping gets to."""
-    run = pc.simulate(scene, state, DURATION, energies=True, max_steps=3000, fallback="Moreau")
+    run = pc.simulate(scene, state, DURATION, energies=True, max_steps=3000)
     assert run.status == 0 and run.t[-1] == DURATION, run.message
-    falls_back = any(event.kind == "fallback" for event in run.events)
     energies = run.energies()
-    # in J, of some J: the errors of rtol=1e-8, over some hundred steps, or of time steps of 1 ms
-    assert np.abs(energies.balance).max() < (1e-3 if falls_back else 1e-6)
+    # in J, of some J: the errors of rtol=1e-8, over some hundred steps
+    assert np.abs(energies.balance).max() < 1e-6
     assert np.diff(energies.total).max() < 1e-6
     stepped = pc.simulate(scene, state, DURATION, method="Moreau", dt=5e-4)
     # in m, of 0.1 to 0.7: the error of steps of this size, which halves with them
-    assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < (2e-4 if falls_back else 5e-5)
-    return falls_back
+    assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < 5e-5
 
 
 @pytest.mark.parametrize("seed", [2, 8, 15, 23, 25, 30])
 def test_two_wheels_on_one_axle(seed):
     """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (15, 30), wheels that come to
-    rest together where they cannot both stick (8, 23), and constraints that become independent (2, 25). Time
-    stepping has to go on where both wheels slip in turn (15)."""
-    assert compare(*random_cart(seed)) == (seed == 15)
+    rest together where they cannot both stick (8, 23), constraints that become independent (2, 25), and wheels that
+    slip in turn (15)."""
+    compare(*random_cart(seed))
+
+
+def test_wheels_slip_more_slowly_than_steps_are_accurate():
+    """A wheel slips on beside another that sticks, far below the error of steps in velocities; to end that took more
+    from the cart than such errors do, again and again."""
+    scene, state = random_cart(13)
+    runs = [pc.simulate(scene, state, DURATION, rtol=rtol, atol=0.01 * rtol) for rtol in (1e-8, 1e-10)]
+    assert [run.status for run in runs] == [0, 0], runs[0].message
+    # in m and rad, of 0.3 m: errors of rtol=1e-8 over a hundred steps
+    np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], atol=1e-7)
 
 
 def test_stick_gives_way_where_constraints_become_independent():

@@ -493,3 +493,37 @@ def test_a_place_that_is_found_too_late_is_told(contacts):
     run = pc.simulate(scene, state, 0.6)
     assert run.status == -3 and run.t[-1] == pytest.approx(0.26, abs=2e-3), run.message
     assert inside(run.q, lambda x, y: 0.05 * np.exp(-(x * x + y * y) / (2.0 * 0.0005**2)), 0.05) < 1e-3
+
+
+@pytest.mark.parametrize(("width", "flat"), [(12.0, 1.5), (9.0, 2.5)])
+def test_two_places_that_become_one(width, flat):
+    """A ball rolls along a groove that widens, on both flanks, until it reaches the bottom: the run says which contacts
+    have come together, and what goes on. width, flat: half the curvatures of the bottom where it starts and ends."""
+    radius = 0.1
+
+    def ground(x, y):
+        half = flat + (width - flat) / (1.0 + np.exp(12.0 * (x - 0.4)))
+        return -0.15 * x + 0.05 * (np.sqrt(1.0 + 40.0 * half * y * y) - 1.0)
+
+    model = pin.Model()
+    body = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(body, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
+    model.addBodyFrame("ball", body, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("ground", pc.HeightField(ground, domain=((-1.5, 2.0), (-0.5, 0.5))))
+    ball = scene.add_contour("ball", pc.Sphere(radius), "ball")
+    for name, side in (("left", 0.04), ("right", -0.04)):
+        scene.add_contact(name, ball, floor, friction=pc.Coulomb(0.5), location=(None, (0.0, side)))
+    x, y = np.meshgrid(np.linspace(-0.03, 0.03, 61), np.linspace(-0.099, 0.099, 2001))
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    q[2], v[0] = (ground(x, y) + np.sqrt(np.maximum(radius**2 - x * x - y * y, 0.0))).max(), 0.5
+    state = scene.initial_state(q, v)
+    run = pc.simulate(scene, state, 1.5)
+    assert run.status in (-1, -3) and 0.1 < run.t[-1] < 1.5
+    assert "'left'" in run.message and "'right'" in run.message and "together" in run.message
+    assert 'method="Moreau"' in run.message
+    stepped = pc.simulate(scene, state, 1.5, method="Moreau", dt=1e-3)
+    assert stepped.status == 0
+    # in m, of 0.4: up to there both are the same, but for the error of steps
+    near = np.searchsorted(stepped.t, run.t[-1])
+    np.testing.assert_allclose(stepped.q[near, :3], run.q[-1, :3], atol=2e-3)

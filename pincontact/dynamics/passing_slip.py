@@ -144,8 +144,12 @@ class PassingSlip:
     def explained(self, speed: float) -> float:
         """How far a velocity of this size may be from what it was for errors of steps to explain it, where slips have
         ended: what counts as ended is so far from zero."""
+        return EXPLAINED * self.tolerance(speed)
+
+    def tolerance(self, speed: float) -> float:
+        """The error that steps may make in a velocity of this size in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
-        return EXPLAINED * (rtol * speed + atol * _size(self.system.factor))
+        return rtol * speed + atol * _size(self.system.factor)
 
 
 def _size(numbers: np.ndarray) -> float:

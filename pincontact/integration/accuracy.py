@@ -144,7 +144,8 @@ def slip_is_ending(system: System) -> bool:
     """Whether a slip of the accepted state ends in one linear step."""
     numbers = system.contact_real
     stopping = np.isfinite(numbers[:, START_SPEED]) & (numbers[:, START_RATE] < 0.0)
-    return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * numbers[:, START_TOLERANCE])).any())
+    allowed = min(2.0 ** int(system.counters["stalled"]), 1.0) * numbers[:, START_TOLERANCE]
+    return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * allowed)).any())
 
 
 def gap_rate(system: System, c: int) -> float:

@@ -205,9 +205,7 @@ class Driver:
         elif why in (ATTEMPTED, SLIP_ENDS):
             step, t_new = float(scalars["step"]), float(scalars["next_time"])
             t, switched = (
-                self._complete(t, step, t_new)
-                if why == ATTEMPTED
-                else (self.slips.end_slip(t, self._allow_start), True)
+                self._complete(t, step, t_new) if why == ATTEMPTED else self.slips.end_slip(t, self._allow_start)
             )
             if switched:
                 t = self._go_on(t, usual_step)

@@ -121,12 +121,11 @@ class EventLocator:
 
     def _set_slack(self) -> None:
         """What event functions may be below zero."""
-        system, nc = self.system, self.system.nc
+        system = self.system
         n, slack = system.items, system.slack
         slack[:n, GAP_EVENT] = gap_resolution(system) + self._depths
-        # the upper end of a joint coordinate, and the end of a domain that an open contact comes over
+        # the upper end of a joint coordinate, and the end of a domain
         slack[:n, DOMAIN_EVENT] = slack[:n, GAP_EVENT]
-        slack[:nc, DOMAIN_EVENT][system.contact_int[:nc, MODE] != FREE] = 0.0
         slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
     def _with_lowest(

@@ -30,7 +30,7 @@ from ..layout import (
     SPEEDING,
     UNILATERAL,
 )
-from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, gap_resolution, rest_speed
+from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
 from .nearness import Nearness, Place, of_same_contours, touching_order
@@ -110,10 +110,9 @@ class OpenContacts:
         """The evaluated state has been accepted. slack: as `begin` has it, None where events were looked for in the
         step that led there."""
         system = self.system
-        lowest = gap_resolution(system).tolist()
         for c, mode in enumerate(system.modes.tolist()):
             gap = system.gaps.item(c, 0)
-            if mode != FREE or -lowest[c] <= gap < NOTHING_THERE:
+            if mode != FREE or 0.0 <= gap < NOTHING_THERE:
                 self.apart[c] = True
                 self._shallow.discard(c)
             elif c in self.passed or (slack is not None and gap < -slack(c)):

@@ -22,6 +22,7 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
+from .nearness import of_same_contours, places_of
 from .open_contacts import OpenContacts
 from .results import (
     ADVICE,
@@ -47,6 +48,8 @@ _REBOUNDS, _INSTANT = 2000, 1e-12
 _NAMES = 3
 # Below this conditioning of the location equations, a failure is that of a contact that degenerates.
 _DEGENERATE = 1e-5
+# Contacts of the same contours that are singular within this part of their length of each other have come together.
+_TOGETHER = 1e-2
 # And one below which steps may fail because of it: errors of contact coordinates are larger than those of gaps by its
 # inverse.
 _POOR = 1e-2
@@ -195,14 +198,29 @@ class Reports:
 
 def told(system: System, stop: Stop) -> str:
     """The message of a run that ends here: which contacts are concerned, where it does not say so, and what goes on."""
-    if stop.code not in (STEP_TOO_SMALL, STEP_LIMIT, NO_CONTACT_FORCE, CHATTER):
-        return stop.message
+    merged = _run_together(system) if stop.code in (STEP_TOO_SMALL, SINGULAR_CONTACT) else ""
+    if merged or stop.code not in (STEP_TOO_SMALL, STEP_LIMIT, NO_CONTACT_FORCE, CHATTER):
+        return stop.message + merged
     named = any(repr(contact.name) in stop.message for contact in system.contacts)
     concerned = "" if named else _closed_contacts(system)
     if stop.code == STEP_TOO_SMALL:
         concerned += least_conditioned(system, _POOR)
     advice = MORE_STEPS if stop.code == STEP_LIMIT else ADVICE
     return stop.message + concerned + ("" if stop.blocked else f"; {advice}")
+
+
+def _run_together(system: System) -> str:
+    """What contacts of the same contours that have become singular together, in one place, say."""
+    for c in np.flatnonzero(np.abs(system.contact_real[: system.nc, CONDITION]) < _POOR).tolist():
+        for i in of_same_contours(system, c):
+            places = places_of(system, [c, i], c)
+            if len(places) == 2 and np.abs(places[0] - places[1]).max() < _TOGETHER * system.contact_real[c, LENGTH]:
+                return (
+                    f"; contacts {system.contacts[c].name!r} and {system.contacts[i].name!r} run together, and no "
+                    "event-driven method goes through the instant at which they become one; "
+                    'method="Moreau" does, with both'
+                )
+    return ""
 
 
 def _closed_contacts(system: System) -> str:

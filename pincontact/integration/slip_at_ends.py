@@ -42,7 +42,9 @@ _MARGIN = 0.1
 _NEWTON_STEPS, _KNOWN = 8, 1e-9
 # Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise,
 # or once one linear step to its end leaves out no more than a part of that error. Where steps no longer get anywhere
-# near the end, the speed that counts as ended is doubled at every trial step, so many times at most.
+# near the end, the speed that counts as ended is doubled at every trial step, so many times at most. It has been halved
+# -STALLED times where to end the slip would take more from the velocity than such errors do: beside constraints that
+# leave next to nothing of its rows it is known that much better, since steps are projected on these.
 LEFT_OUT = 0.05
 STOP_DOUBLINGS = 10
 _PROGRESS = 0.9
@@ -211,20 +213,29 @@ def watch_slips(system, n, accepted):
         return
     if accepted and slowest < _PROGRESS * scalars.slowest:
         scalars.slowest = slowest
-        counters.stalled = 0
+        counters.stalled = min(counters.stalled, 0)
     elif near and scalars.turning_rate * scalars.step <= _STIFF:
-        counters.stalled = min(counters.stalled + 1, STOP_DOUBLINGS)
+        stall(system)
+
+
+@kernel
+def stall(system):
+    """Double the speed that counts as ended; past what usually does, which is 0, lest it be halved again."""
+    after = system.counters.stalled + 1
+    system.counters.stalled = min(after if after != 0 else 1, STOP_DOUBLINGS)
 
 
 @kernel
 def slip_ends(system, n):
     """Whether a slip is as good as over."""
+    reach = 2.0**system.counters.stalled
     for c in range(n):
         number = system.contact_real[c]
         speed, allowed = number[START_SPEED], number[START_TOLERANCE]
         if not (number[START_RATE] < 0.0 and speed < math.inf):
             continue
-        if speed <= allowed * 2.0**system.counters.stalled or number[STOP_ERROR] <= LEFT_OUT * allowed:
+        ended = max(allowed * reach, _SMALLEST_STOP_SPEED)
+        if speed <= ended or number[STOP_ERROR] <= LEFT_OUT * min(allowed, ended):
             return True
     return False
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from ..layout import MODE, START_SPEED, STICK, STOP_ERROR
 from .accuracy import slip_is_ending
 from .outputs import Outputs
@@ -21,6 +23,9 @@ _SLOW_STEPS, STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
+# What the end of slips may take from the velocity, in tolerances, and how often the speed that counts as ended is
+# halved at most where it would take more.
+_WORTH, _HALVINGS = 8.0, 20
 
 
 class SlipSteps:
@@ -54,7 +59,7 @@ class SlipSteps:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
                 counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
                 # nor do these get nearer to the end of a slip that is as slow as they are accurate
-                counters["stalled"] = min(counters["stalled"] + 1, STOP_DOUBLINGS)
+                counters["stalled"] = min(counters["stalled"] + 1 or 1, STOP_DOUBLINGS)
             else:
                 counters["patience"] = PATIENCE
                 counters["step_count"] += 1
@@ -68,9 +73,9 @@ class SlipSteps:
         counters["stiff_steps"] = 0
         return t
 
-    def end_slip(self, t: float, allow_start: Callable[[float, float], None]) -> float:
+    def end_slip(self, t: float, allow_start: Callable[[float, float], None]) -> tuple[float, bool]:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not; the new
-        time. allow_start: see `Driver`."""
+        time, and whether modes changed. allow_start: see `Driver`."""
         rk, system, scalars = self.rk, self.system, self.system.scalars
         columns = system.contact_real[:, START_SPEED : STOP_ERROR + 1].tolist()
         slips = {i: (*column[:3], column[-1]) for i, column in enumerate(columns) if column[0] < math.inf}
@@ -84,22 +89,42 @@ class SlipSteps:
         if straight and left < way:
             # something else comes first
             system.contact_real[:, STOP_ERROR] = math.inf
-            return t
+            return t, True
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
         for i, (speed, rate, allowed, _) in slips.items():
-            # slip that grows is no nearer to its end where steps get nowhere
-            least, reach = (min(speed, abs(speed + rate * left)), further) if rate < 0.0 else (speed, 1.0)
-            if i != c and least <= reach * _TOGETHER * allowed:
+            # what grows may be taking over the slip that ends
+            if i != c and rate < 0.0 and min(speed, abs(speed + rate * left)) <= further * _TOGETHER * allowed:
                 contacts.append(i)
         rk.load(system.state)
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
+        stopped = system.state + left * system.slopes[0]
+        worth = self._worth(t, left, contacts, stopped) if system.counters["stalled"] == 0 else 0.0
+        if worth > _WORTH:
+            system.counters["stalled"] = -min(math.ceil(math.log2(worth)), _HALVINGS)
+            return t, False
         self.outputs.keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
-        rk.load(system.state + left * system.slopes[0])
+        rk.load(stopped)
         allow_start(t + left, float(scalars["step"]))
         after = self.transitions.come_to_rest(t + left, ended)
         self._accepted(after)
-        return after
+        return after, True
+
+    def _worth(self, t: float, left: float, contacts: list[int], stopped: np.ndarray) -> float:
+        """What the end of these slips, in the state `left` s after the accepted one at t, takes from the velocity, in
+        tolerances."""
+        system, modes = self.system, self.transitions.modes
+        integers, forces = system.contact_int.copy(), modes.reference()
+        system.contact_int[contacts, MODE] = STICK
+        self.rk.load(stopped)
+        before, taken = system.v.copy(), 0.0
+        if self.rk.project(t + left, False):
+            taken, speed, _ = modes.taken_from(before)
+            taken /= modes.tolerance(speed)
+        system.contact_int[:] = integers
+        modes.take_back(forces)
+        self.transitions.changes.evaluate_accepted(t)
+        return taken

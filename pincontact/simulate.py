@@ -487,13 +487,13 @@ def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray 
 
 
 def _breakpoints(given: ArrayLike | None, t: float, end: float) -> list[float]:
-    """Times inside the run, in order and once each."""
+    """Times inside the run, in order and once each; a run goes on from the next number behind each."""
     if given is None:
         return []
     times = reals("breakpoints must be times in s", given).reshape(-1)
     if not np.isfinite(times).all():
         raise ArgumentError(f"breakpoints must be finite, got {given!r}")
-    return [time for time in np.unique(times).tolist() if t < time < end]
+    return [time for time in np.unique(times).tolist() if t < time and math.nextafter(time, math.inf) < end]
 
 
 def _torque(control: Control, system: System) -> Torque:

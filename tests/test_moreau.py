@@ -864,3 +864,27 @@ def test_a_coin_that_falls_flat_is_not_told_to_take_shorter_steps():
         run = pc.simulate(scene, state, 1.0, method="Moreau", dt=dt)
         assert run.status == -9
         assert "'rim/floor' has the least conditioning" in run.message and "shorter steps do not help" in run.message
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau"}])
+@pytest.mark.parametrize("at", [0.3, 0.4 + 0.8, 1.2, 2.0])
+@pytest.mark.parametrize("off", [-1, 0, 1])
+def test_breakpoints_and_outputs_that_round_off_parts(options, at, off):
+    """An output in the last digit of a breakpoint's time is one at the breakpoint; a breakpoint there before the end is
+    none."""
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia.FromSphere(1.0, 0.1)))
+    ball = scene.add_contour("ball", pc.Sphere(0.1), "body")
+    scene.add_contact("c", ball, scene.add_contour("floor", pc.Plane()), pc.Coulomb(0.5))
+    state = scene.initial_state([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    near = math.nextafter(at, math.inf * off) if off else at
+    for outputs in (None, [0.0, near, 2.0] if near < 2.0 else [0.0, 2.0]):
+        run = pc.simulate(
+            scene, state, 2.0, breakpoints=[at], t_eval=outputs, control=lambda t, q, v: 0.0 * v, **options
+        )
+        assert run.status == 0, run.message
+        assert run.t[-1] == 2.0
+        assert all(np.isfinite(values).all() for values in (run.q, run.v, run.contacts["c"].force))
+        # rolls at 5/7 of its speed, after sliding for 2 v / (7 mu g); time stepping's error is that of a step
+        slides = 2.0 / (7.0 * 0.5 * 9.81)
+        way = slides - 0.5 * 0.5 * 9.81 * slides**2 + 5.0 / 7.0 * (2.0 - slides)
+        assert run.q[-1, 0] == pytest.approx(way, abs=1e-5)

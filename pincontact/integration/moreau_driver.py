@@ -92,12 +92,12 @@ class MoreauDriver:
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there
             self._run_until(start, max(start, jump - 2.0 * SLIVER * self.size))
-            while self._next_output <= jump:
+            start = math.nextafter(jump, math.inf)
+            while self._next_output <= start:
                 self._record(self._next_output, asked=False)
                 self.system.output_done()
             self._earlier_steps += step.steps
             step.steps = 0
-            start = math.nextafter(jump, math.inf)
             before, outside = step.start_motion.copy(), step.start_gap >= 0.0
             self._check(step.begin(start), start)
             for name, gap in step.apart.items():

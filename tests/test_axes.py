@@ -152,3 +152,32 @@ def test_spheres_need_no_newton():
         scene.add_contact("c", body, world, side=side, location=(own, angles))
         named = scene.initial_state(q)
         np.testing.assert_allclose(named.location, found.location, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3, 6])
+def test_spheroids_that_are_traced_meet_as_ellipsoids_do(seed):
+    """Their axes are singular starts of the search, which found nothing nearer than the point where they meet."""
+    traced = pc.SurfaceOfRevolution(
+        lambda s: (0.1 * math.cos(s), 0.14 * math.sin(s)), domain=(-math.pi / 2, math.pi / 2)
+    )
+    runs = []
+    for shape in (traced, pc.Ellipsoid(0.1, 0.1, 0.14)):
+        rng, model = np.random.default_rng(seed), pin.Model()
+        model.gravity.linear = np.zeros(3)
+        for name, mass, inertia in (("a", 1.0, [0.004, 0.003, 0.002]), ("b", 2.0, [0.006, 0.008, 0.01])):
+            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+            model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), pin.SE3.Identity())
+            model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        scene.add_contact("c", scene.add_contour("one", shape, "a"), scene.add_contour("two", shape, "b"))
+        turns = [rng.normal(size=4) for _ in range(2)]
+        first, second = (turn / np.linalg.norm(turn) for turn in turns)
+        q = np.r_[0.0, 0.0, 0.0, first, 0.6, 0.03, 0.02, second]
+        speeds = [pin.Quaternion(turn).matrix().T[:, 0] for turn in (first, second)]
+        v = np.r_[speeds[0], rng.normal(size=3) * 3.0, -speeds[1], rng.normal(size=3) * 3.0]
+        state = scene.initial_state(q, v, free=["c"])
+        runs.append(pc.simulate(scene, state, 0.5, method="Moreau", step=1e-3))
+    assert runs[0].status == runs[1].status == 0, runs[0].message
+    assert "touch" in [event.kind for event in runs[0].events]
+    # the same geometry, to what the search resolves
+    np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], atol=1e-9)

@@ -274,15 +274,18 @@ class NearestSearch:
         if (distances + whole.rounding <= reaches + whole.radius).any():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
-        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, least)
+        # what is nearer than cells tell may be where a regular nearest point is
+        known = min((float(np.linalg.norm(one.points[1] - one.points[0])) for one in found), default=math.inf)
+        touches = least.min() == 0.0 and known > float(reaches.max() + whole.radius)
+        is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, touches)
         # what is farther than that has been left out
         resolved = float(distances.min()) + beyond
         return _Survey(found, points, reaches, least, resolved, is_around)
 
-    def _touch(self, t: float, distances: np.ndarray, least: np.ndarray) -> bool:
+    def _touch(self, t: float, distances: np.ndarray, touches: bool) -> bool:
         """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an
         end of the divided contour: what is round, from whose surface its cells have these distances (n,), or samples
-        that are below a graph, or as near as cells tell."""
+        that are below a graph, or, of others, what cells tell: touches."""
         if len(self.whole.points) == 1 and self.whole.rounding == 0.0:
             return False
         i = int(np.argmin(distances))
@@ -294,7 +297,7 @@ class NearestSearch:
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
         elif self.whole.rounding == 0.0:
-            depth = math.inf if not least.all() else 0.0
+            depth = math.inf if touches else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])

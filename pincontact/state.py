@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,7 +26,7 @@ from .dynamics.manifold import (
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.nearest import NearestSearch, is_searched
-from .geometry.search import Candidate, find_candidates
+from .geometry.search import Candidate, comes_back, find_candidates, side_of_pieces
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
@@ -309,7 +310,10 @@ def find_state(
     contacts = list(scene.contacts.values())
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
-    candidates = {contact.name: _candidates(scene, contact, q, v, t, contact.name in free) for contact in contacts}
+    candidates = {}
+    # no comprehension: warnings count the calls from the user's
+    for contact in contacts:
+        candidates[contact.name] = _candidates(scene, contact, q, v, t, contact.name in free)
     places: dict[int, Candidate] = {}
     untouched: dict[str, NoContactError] = {}
     # closed ones first: open ones of the same contours are where these are not
@@ -380,10 +384,25 @@ def _candidates(
         if not (is_searched(single, 0) and _are_apart(single, t)):
             raise
         return _beside(single, t, guess)
+    is_beyond = bool(found) and not comes_back(single, found[0])
     if found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
-        # stationary points that are not those where bodies are nearest
-        found = [one for one in found if one.gap >= 0.0] or _beside(single, t, guess)
+        # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
+        found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess))
+    if is_beyond and contact.side is None:
+        _warn_of_side(contact, found[0].side, side_of_pieces(single, t))
     return found
+
+
+def _warn_of_side(contact: Contact, inferred: int, at_end: int) -> None:
+    """Say that the side of an open contact, which is inferred from what its contours would go on as, is not that on
+    which the body is of the contour where this ends: it may come over the contour on either."""
+    if inferred * at_end < 0:
+        warnings.warn(
+            f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} start beside each other's "
+            f"ends, where their sides cannot be told; it is taken to be {inferred:+d}, but at the nearest end it is "
+            f"{at_end:+d}: give add_contact side={at_end:+d} or side={inferred:+d}",
+            stacklevel=5,
+        )
 
 
 def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:

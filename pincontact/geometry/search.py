@@ -144,10 +144,10 @@ def stationary_points(
         for ints, row, branch in zip(integers.tolist(), reals, branches)
         if ints[0] == OK
     )
-    return [one for one in found if _come_back(system, one) or not inside], set(integers[:, 0].tolist())
+    return [one for one in found if comes_back(system, one) or not inside], set(integers[:, 0].tolist())
 
 
-def _come_back(system: Workspace, found: Candidate) -> bool:
+def comes_back(system: Workspace, found: Candidate) -> bool:
     """Take periodic coordinates back into their domains; whether all others are within theirs."""
     contact, within = system.contacts[0], True
     for side, contour in enumerate((contact.body1.contour, contact.body2.contour)):
@@ -160,6 +160,20 @@ def _come_back(system: Workspace, found: Candidate) -> bool:
             else:
                 within = within and low <= u[a] <= high
     return within
+
+
+def side_of_pieces(system: Workspace, t: float) -> int:
+    """On which side of e_3 body 1 is, seen from where body 2 is nearest to it within both domains, by samples; 0 where
+    it is on neither."""
+    contact = system.contacts[0]
+    bodies = contact.body1, contact.body2
+    poses = [pose_of(system.data, body, t) for body in bodies]
+    window = float(np.linalg.norm(poses[0].translation - poses[1].translation)) + _LEAST_WINDOW
+    window += _WINDOW * sum(body.contour.size for body in bodies if math.isfinite(body.contour.size))
+    first, second = (_sample(body.contour, pose, t, window, np.full(2, np.nan)) for body, pose in zip(bodies, poses))
+    distances, indices = scipy.spatial.cKDTree(second[1]).query(first[1])
+    i = int(np.argmin(distances))
+    return int(np.sign(second[2][indices[i]] @ (first[1][i] - second[1][indices[i]])))
 
 
 def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:

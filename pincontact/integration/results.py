@@ -114,6 +114,12 @@ class Event:
     index: int = -1
     joint: str | None = None
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Event):
+            return NotImplemented
+        own, others = ((e.time, e.contact, e.kind, e.index, e.joint) for e in (self, other))
+        return own == others and np.array_equal(self.q, other.q) and np.array_equal(self.v, other.v)
+
     def __repr__(self) -> str:
         name = self.contact if self.contact is not None else self.joint
         what = f"{name!r}: {self.kind}" if name is not None else self.kind

@@ -1,11 +1,13 @@
 """Equilibria and steady motions against closed forms."""
 
+import functools
 import math
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from test_inverse import bicycle
 
 import pincontact as pc
@@ -191,3 +193,76 @@ def test_where_nothing_changes_nothing_moves(seed):
     np.testing.assert_allclose(found.state.q, q, rtol=0.0, atol=1e-15)
     with pytest.raises(pc.SolverError, match="no equilibrium"):
         pc.find_equilibrium(scene, q, 0.5 * hold)
+
+
+def five_bar(base, links):
+    """Two chains of two links (length in m, mass in kg, moment of inertia in kg m^2) each, hung up side by side, whose
+    ends a pin joins; and how far these are apart."""
+    model, ends = pin.Model(), []
+    for name, x, chain in (("a", -base / 2, links[:2]), ("b", base / 2, links[2:])):
+        parent, at = 0, np.array([x, 0.0, 0.0])
+        for k, (length, mass, inertia) in enumerate(chain):
+            parent = model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), at), f"{name}{k}")
+            body = pin.Inertia(mass, np.array([length / 2, 0.0, 0.0]), inertia * np.eye(3))
+            model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+            model.addBodyFrame(f"{name}{k}", parent, pin.SE3.Identity(), 0)
+            at = np.array([length, 0.0, 0.0])
+        ends.append((parent, at))
+    scene = pc.Scene(model)
+    end = scene.add_contour("end", pc.Point(), "a1", pin.SE3(np.eye(3), ends[0][1]))
+    for axis, angle in (("x", math.pi / 2), ("y", -math.pi / 2)):
+        placement = pin.SE3(pin.utils.rotate(axis, angle), ends[1][1])
+        slot = scene.add_contour(f"slot {axis}", pc.Line(), "b1", placement)
+        scene.add_contact(axis, end, slot, bilateral=True)
+    data = model.createData()
+
+    def apart(q):
+        pin.forwardKinematics(model, data, q)
+        one, two = (data.oMi[joint].act(at) for joint, at in ends)
+        return (one - two)[[0, 2]]
+
+    return scene, apart
+
+
+def closed_near(apart, q):
+    return scipy.optimize.least_squares(apart, q, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+
+def lowest_near(scene, apart, q):
+    """The least potential on the constraint."""
+    data = scene.model.createData()
+    closed, options = {"type": "eq", "fun": apart}, {"ftol": 1e-14, "maxiter": 500}
+    potential = functools.partial(pin.computePotentialEnergy, scene.model, data)
+    return scipy.optimize.minimize(potential, q, constraints=closed, method="SLSQP", options=options).x
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_five_bar_hangs_where_its_potential_is_least(seed):
+    """From up to 0.3 rad away. Where a potential is least is known to the root of the accuracy of its value."""
+    rng = np.random.default_rng(seed)
+    links = [(length, mass, mass * length**2 / 12.0) for length, mass in rng.uniform([0.2, 0.2], [0.4, 0.6], (4, 2))]
+    scene, apart = five_bar(rng.uniform(0.1, 0.4), links)
+    lowest = lowest_near(scene, apart, closed_near(apart, [1.6, -0.3, 1.5, 0.3]))
+    start = closed_near(apart, lowest + rng.uniform(-0.3, 0.3, 4))
+    found = pc.find_equilibrium(scene, start)
+    np.testing.assert_allclose(found.state.q, lowest, rtol=0.0, atol=1e-5)
+
+
+def test_search_stays_on_the_constraints():
+    """From far away: accelerations vanish, too, where the pin has left its slots, from where no way leads back."""
+    links = [(0.3, 0.4, 3e-3), (0.3, 0.3, 2.5e-3)] * 2
+    scene, apart = five_bar(0.3, links)
+    start = [2.0, -1.3, *closed_near(lambda q: apart(np.r_[2.0, -1.3, q]), [1.4, 1.1])]
+    found = pc.find_equilibrium(scene, start)
+    lowest = lowest_near(scene, apart, closed_near(apart, [1.6, -0.9, 1.4, 1.1]))
+    np.testing.assert_allclose(found.state.q, lowest, rtol=0.0, atol=1e-5)
+
+
+def test_moving_start_without_symmetries():
+    """A pendulum that swings is no steady motion, and its rest is no answer to that."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.0, 0.0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(pc.StateError, match="no symmetry is seen: find_equilibrium finds where it is at rest"):
+        pc.find_steady_motion(pc.Scene(model), [0.1], [2.0])
+    assert abs(pc.find_steady_motion(pc.Scene(model), [0.1], [0.0]).state.q[0]) < 1e-9

@@ -406,3 +406,74 @@ def test_nothing_is_left_of_a_rest_that_symmetries_explain():
     found = pc.linearize(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1]))
     rest = found.without_symmetries()
     assert rest.A.shape == (0, 0)
+
+
+def mass_on(joints, placement):
+    """A point of 0.5 kg, "p", carried by these joints one after the other."""
+    model, parent = pin.Model(), 0
+    for i, joint in enumerate(joints):
+        parent = model.addJoint(parent, joint, placement if i == 0 else pin.SE3.Identity(), f"{i}")
+    model.appendBodyToJoint(parent, pin.Inertia(0.5, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("p", parent, pin.SE3.Identity(), 0)
+    return model
+
+
+SLIDES = {
+    "translation": [pin.JointModelTranslation()],
+    "one after the other": [pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()],
+    "oblique": [
+        pin.JointModelPrismaticUnaligned(np.array(axis) / np.linalg.norm(axis))
+        for axis in ([1.0, 0.3, 0.0], [0.2, 1.0, 0.5], [-0.4, 0.1, 1.0])
+    ],
+}
+
+
+@pytest.mark.parametrize("joints", SLIDES.values(), ids=SLIDES)
+def test_conical_pendulum_on_joints_that_slide(joints):
+    """Omega^2 = g / (R cos angle), and swings of Omega sqrt(1 + 3 cos^2 angle) about that; 1e-9 for the differences."""
+    angle, turned = 0.7, pin.SE3(pin.exp3(np.array([0.4, -0.8, 1.1])), np.array([0.3, -0.2, 0.5]))
+    scene = pc.Scene(mass_on(joints, turned))
+    point, bowl = scene.add_contour("p", pc.Point(), "p"), scene.add_contour("bowl", pc.Sphere(1.0))
+    scene.add_contact("c", point, bowl, side=-1)
+    rate = math.sqrt(9.81 / math.cos(angle))
+    model, data = scene.model, scene.model.createData()
+    axes = pin.computeFrameJacobian(model, data, pin.neutral(model), model.getFrameId("p"), pin.LOCAL_WORLD_ALIGNED)[:3]
+    place, velocity = np.array([math.sin(angle), 0.0, -math.cos(angle)]), np.array([0.0, rate * math.sin(angle), 0.0])
+    q, v = np.linalg.solve(axes, place - turned.translation), np.linalg.solve(axes, velocity)
+    found = pc.find_steady_motion(scene, q, v)
+    np.testing.assert_allclose(found.state.q, q, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.state.v, v, rtol=0.0, atol=1e-9)
+    values = pc.linearize(scene, found.state).without_symmetries().eigenvalues
+    swing = rate * math.sqrt(1.0 + 3.0 * math.cos(angle) ** 2)
+    np.testing.assert_allclose(np.sort(values.imag), [-swing, 0.0, swing], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("inertia", [0.1, 1e8, math.inf])
+def test_bead_on_joints_that_slide_in_a_turning_hoop(inertia):
+    """A hoop that is a body on a hinge, or driven (infinite inertia): cos angle = g / (R Omega^2)."""
+    radius, rate, mass = 0.4, 7.0, 0.5
+    angle = math.acos(9.81 / (radius * rate**2))
+    model = mass_on([pin.JointModelTranslation()], pin.SE3.Identity())
+    driven = math.isinf(inertia)
+    q, v = [radius * math.sin(angle), 0.0, -radius * math.cos(angle)], [0.0, radius * math.sin(angle) * rate, 0.0]
+    if not driven:
+        hinge = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+        model.appendBodyToJoint(hinge, pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("hoop", hinge, pin.SE3.Identity(), 0)
+        q, v = [*q, 0.0], [*v, rate]
+    scene = pc.Scene(model)
+    point = scene.add_contour("p", pc.Point(), "p")
+    motion = pc.ConstantTwist(angular=[0.0, rate, 0.0]) if driven else None
+    upright = pin.SE3(pin.utils.rotate("x", math.pi / 2), np.zeros(3))
+    hoop = scene.add_contour("hoop", pc.Circle(radius), "universe" if driven else "hoop", upright, motion=motion)
+    scene.add_contact("c", point, hoop, pattern="P-3C")
+    for conditions in (None, lambda q, v: [q[2] + radius * math.cos(angle)]):
+        found = pc.find_steady_motion(scene, q, v, conditions=conditions)
+        np.testing.assert_allclose(found.state.q, q, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(found.state.v, v, rtol=0.0, atol=1e-9)
+    values = pc.linearize(scene, found.state).without_symmetries().eigenvalues
+    own = mass * radius**2
+    back = 4.0 * math.cos(angle) ** 2 * own / (inertia + own * math.sin(angle) ** 2)
+    swing = rate * math.sin(angle) * math.sqrt(1.0 + back)
+    assert values.imag.max() == pytest.approx(swing, abs=1e-8)
+    assert np.abs(values.real).max() < 1e-8

@@ -11,7 +11,7 @@ import numpy as np
 from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
-from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError
+from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -29,6 +29,8 @@ _FLAT = 1e-8
 _STALLED = 1e-9
 # Nor is a step felt that is less than this part of the unknowns.
 _UNFELT = 1e-15
+# Configuration, velocity, shares of symmetries in the motion, torques of the actuation.
+Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 
@@ -208,20 +210,32 @@ def _search(
     instant = Instant(scene, begin, tau, decide=False)
     nv, length = instant.system.nv, instant.length
     symmetries = find_symmetries(instant) if moves else None
+    if symmetries is not None and not (
+        symmetries.count or instant.driven() or instant.at_rest(np.abs(instant.v).max())
+    ):
+        raise StateError(
+            "no motion of this scene is known to be steady, since no symmetry is seen: find_equilibrium finds where it "
+            "is at rest; rotations are seen of a body on a free flyer, a ball joint, a revolute joint of its own along "
+            "the axis, and on joints that only slide"
+        )
     if not moves:
         instant.v = np.zeros(nv)
     holding = np.zeros((nv, 0)) if actuation is None else actuation_matrix(scene.model, actuation)
     normals, constrained = instant.holonomic(), instant.constrained()
     sizes = nv, nv if moves else 0, symmetries.count if symmetries is not None else 0, holding.shape[1]
 
-    def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def moved(point: Point, change: np.ndarray) -> Point:
         """q, v, shares of the symmetries and torques of the actuation."""
-        dq, dv, share, effort = np.split(x, np.cumsum(sizes[:-1]))
-        return instant.moved(dq), instant.v + dv if moves else instant.v, share, holding @ effort
+        dq, dv, share, effort = np.split(change, np.cumsum(sizes[:-1]))
+        return instant.moved(dq, point[0]), point[1] + dv if moves else point[1], point[2] + share, point[3] + effort
 
-    def residual(x: np.ndarray) -> np.ndarray:
-        q, v, share, torque = split(x)
-        a = instant.evaluate(q, v, instant.tau + torque)
+    def closed(point: Point) -> Point:
+        q, v = instant.projected(*point[:2])
+        return q, v if moves else point[1], *point[2:]
+
+    def residual(point: Point) -> np.ndarray:
+        q, v, share, effort = point
+        a = instant.evaluate(q, v, instant.tau + holding @ effort)
         parts = [instant.gaps(normals) / length]
         if symmetries is not None:
             parts += [instant.velocities(constrained), v - symmetries.velocity(q, share)]
@@ -235,11 +249,13 @@ def _search(
 
     speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
     steps = np.repeat([FIRST_STEP * length, FIRST_STEP * speed, FIRST_STEP * speed, 1.0], sizes)
-    x = np.zeros(sum(sizes))
+    share = np.zeros(sizes[2])
     if symmetries is not None:
-        x[2 * nv : 2 * nv + sizes[2]], _ = symmetries.fit(instant.q, instant.v, instant.evaluate())
-    x, iterations = _solve(residual, x, steps, instant.follow)
-    size = float(np.abs(residual(x)).max(initial=0.0))
+        share, _ = symmetries.fit(instant.q, instant.v, instant.evaluate())
+    point: Point = instant.q, instant.v, share, np.zeros(sizes[3])
+    bound = len(normals) + (len(constrained) if moves else 0)
+    point, iterations = _solve(residual, bound, (moved, closed, instant.follow), point, steps)
+    size = float(np.abs(residual(point)).max(initial=0.0))
     most = tolerance * max(1.0, float(np.abs(instant.system.free_acceleration).max(initial=0.0)))
     if not size <= most:
         what = "steady motion" if moves else "equilibrium"
@@ -247,38 +263,50 @@ def _search(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
             f"(tolerance {most:.3g}); all contacts stay closed, and tau= or actuation= are torques that help to hold it"
         )
-    q, v, _, torque = split(x)
+    q, v = point[:2]
     check_joint_limits(instant.system.limits, q)
-    instant.tau = instant.tau + torque
+    instant.tau = instant.tau + holding @ point[3]
     state = instant.state(q, v)
     return SteadyMotion(state, instant.tau, instant.forces(), size, instant.holds(), iterations)
 
 
 def _solve(
-    residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps: np.ndarray, accepted: Callable[[], None]
-) -> tuple[np.ndarray, int]:
-    """Levenberg-Marquardt on the part of the Jacobian's spectrum that is not flat: families of solutions are crossed
-    the shortest way and not run along. accepted: called when the residual has last been evaluated at a better x.
-    Returns the best x and the number of steps."""
+    residual: Callable[[Point], np.ndarray],
+    bound: int,
+    motions: tuple[Callable[[Point, np.ndarray], Point], Callable[[Point], Point], Callable[[], None]],
+    point: Point,
+    steps: np.ndarray,
+) -> tuple[Point, int]:
+    """Levenberg-Marquardt along the constraints, whose residuals come first, so many of them, and on the part of the
+    Jacobian's spectrum that is not flat: families of solutions are crossed the shortest way and not run along. What is
+    off the constraints is none of the unknowns': there accelerations may vanish, too, and no way lead back.
+
+    motions: (moved, closed, accepted): a point moved by a change, of which differences take the steps; a point moved
+    onto the constraints; called when the residual has last been evaluated at a better point. Returns the best point
+    and the number of steps.
+    """
+    moved, closed, accepted = motions
     damping = 1e-3
-    r = residual(x)
-    if x.size == 0:
-        return x, 0
-    size = float(r @ r)
+    r = residual(point)[bound:]
+    if steps.size == 0:
+        return point, 0
+    size, length = float(r @ r), 0.0
     for iteration in range(_STEPS):
         if size == 0.0:
-            return x, iteration
-        matrix, errors = jacobian(lambda dx: residual(x + dx), np.eye(x.size), steps)  # noqa: B023
-        u, values, vectors = np.linalg.svd(matrix, full_matrices=False)
-        if not values[0] > ABOVE_NOISE * float(np.linalg.norm(errors)):
-            return x, iteration
+            return point, iteration
+        matrix, errors = jacobian(lambda change: residual(moved(point, change)), np.eye(steps.size), steps)  # noqa: B023
+        along = _null_space(matrix[:bound])
+        u, values, vectors = np.linalg.svd(matrix[bound:] @ along, full_matrices=False)
+        if not values.size or not values[0] > ABOVE_NOISE * float(np.linalg.norm(errors)):
+            return point, iteration
         kept = values > _FLAT * values[0]
-        u, values, vectors = u[:, kept], values[kept], vectors[kept]
+        u, values, vectors = u[:, kept], values[kept], vectors[kept] @ along.T
         while True:
             factors = values / (values**2 + damping * values[0] ** 2)
             step = -vectors.T @ (factors * (u.T @ r))
             try:
-                new = residual(x + step)
+                new_point = closed(moved(point, step))
+                new = residual(new_point)[bound:]
                 new_size = float(new @ new)
             except (SolverError, SingularContactError):
                 new_size = np.inf
@@ -286,12 +314,19 @@ def _solve(
                 break
             damping = 4.0 * max(damping, _LEAST_DAMPING)
             if damping > _MOST_DAMPING:
-                return x, iteration
+                return point, iteration
         stalled = new_size > 0.25 * size and float(np.abs(new).max()) < _STALLED
-        x, r, size = x + step, new, new_size
+        point, r, size = new_point, new, new_size
+        length += float(np.abs(step).max())
         accepted()
         damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
         # rounding is reached where steps are no longer felt, or help no longer
-        if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, float(np.abs(x).max())):
-            return x, iteration + 1
-    return x, _STEPS
+        if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, length):
+            return point, iteration + 1
+    return point, _STEPS
+
+
+def _null_space(rows: np.ndarray) -> np.ndarray:
+    """(n, k) orthonormal changes that rows (m, n) do not see."""
+    _, values, vectors = np.linalg.svd(rows)
+    return vectors[int((values > _FLAT * values.max(initial=0.0)).sum()) :].T

@@ -229,7 +229,7 @@ def _linearized(instant: Instant, wanted: list[int], tolerance: float) -> Linear
             f"the motion is not steady: velocities or accelerations are off by {defect:.3g} from every motion along a "
             f"symmetry of the scene (tolerance {tolerance * scale:.3g}); see find_equilibrium and find_steady_motion"
         )
-    right, brackets = symmetries.right @ combination + symmetries.twist, symmetries.brackets
+    carrying = symmetries.carrying(combination)
 
     configuration = _independent(z, wanted)
     z = np.linalg.solve(z[configuration].T, z.T).T
@@ -253,9 +253,10 @@ def _linearized(instant: Instant, wanted: list[int], tolerance: float) -> Linear
 
     dq_dx = np.hstack([z, np.zeros((nv, w.shape[1]))])
     dv_dx = np.hstack([g, w])
-    # the flow seen from axes that go along with the symmetry: dq' = dv - [v - e, dq], dv' = A_q dq + A_v dv + [e, dv]
-    q_rate = dv_dx - brackets(v - right) @ dq_dx
-    v_rate = np.hstack([pull, np.zeros_like(w)]) + (drag + brackets(right)) @ dv_dx
+    # the flow seen from axes that go along with the symmetry, which carries x at a rate C x: dq' = dv - [v, dq] - C dq,
+    # dv' = A_q dq + A_v dv - C dv
+    q_rate = dv_dx - (symmetries.brackets(v) + carrying) @ dq_dx
+    v_rate = np.hstack([pull, np.zeros_like(w)]) + (drag - carrying) @ dv_dx
     matrix = np.vstack([q_rate[configuration], v_rate[velocity]])
     for found, expected in ((q_rate, dq_dx @ matrix), (v_rate, dv_dx @ matrix)):
         error = max(error, float(np.abs(found - expected).max(initial=0.0)))

@@ -6,8 +6,12 @@ Lie groups of Pinocchio's joints, with Ad and ad of the tangent coordinates,
 
     dq = Ad left + right,      dv = [v, right],      da = [a, right]   if the equations of motion do not notice.
 
-Only motions of the joints' own groups are seen: of a bead on three sliding joints the shifts, on a free flyer the
-rotations too.
+Displacements p of what slides along axes without turning are turned by a linear map of the coordinates, as well,
+
+    dq = turn p,      dv = turn v,      da = turn a,
+
+so that the rotations of a bead on three sliding joints are seen as they are on a free flyer. Of revolute joints one
+after the other only those motions are seen that the joints have alone.
 
 A steady motion is one that follows a generator: v = dq and a = dv (a relative equilibrium); an equilibrium follows 0.
 """
@@ -16,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pinocchio as pin
@@ -55,10 +60,11 @@ class Brackets:
 
 @dataclass(frozen=True)
 class Symmetries:
-    """Generators, one a column; left (nv, s) in the tangent coordinates of the state's configuration q0.
+    """Generators, one a column; left (nv, s) in the tangent coordinates of the state's configuration q0; turns
+    (s, nv, nv).
 
-    drift (nv,), twist (nv,): left and right part of the generator that goes with time, at unit rate (a rotating hoop
-    carries its bead around); zero where no drive depends on time.
+    drift (nv,), twist (nv,), turn (nv, nv): the parts of the generator that goes with time, at unit rate (a rotating
+    hoop carries its bead around); zero where no drive depends on time.
     """
 
     model: pin.Model
@@ -66,8 +72,10 @@ class Symmetries:
     q0: np.ndarray
     left: np.ndarray
     right: np.ndarray
+    turns: np.ndarray
     drift: np.ndarray
     twist: np.ndarray
+    turn: np.ndarray
 
     @property
     def count(self) -> int:
@@ -75,19 +83,25 @@ class Symmetries:
 
     def displacements(self, q: np.ndarray) -> np.ndarray:
         """(nv, s) how the generators move q."""
-        return self._transport(q) @ self.left + self.right
+        return self._transport(q) @ self.left + self.right + (self.turns @ _slides(self.model, q)).T
 
     def accelerations(self, v: np.ndarray) -> np.ndarray:
         """(nv, s) how they change v."""
-        return self.brackets(v) @ self.right
+        return self.brackets(v) @ self.right + (self.turns @ v).T
 
     def velocity(self, q: np.ndarray, combination: np.ndarray) -> np.ndarray:
         """(nv,) rate of q along the generator of time and a combination (s,) of the others."""
-        return self.displacements(q) @ combination + self._transport(q) @ self.drift + self.twist
+        by_time = self._transport(q) @ self.drift + self.twist + self.turn @ _slides(self.model, q)
+        return self.displacements(q) @ combination + by_time
+
+    def carrying(self, combination: np.ndarray) -> np.ndarray:
+        """(nv, nv) matrix from velocities to their rates along them."""
+        turn = np.tensordot(combination, self.turns, axes=1) + self.turn
+        return np.asarray(turn - self.brackets(self.right @ combination + self.twist))
 
     def acceleration(self, v: np.ndarray, combination: np.ndarray) -> np.ndarray:
         """(nv,) rate of v along them."""
-        return self.brackets(v) @ (self.right @ combination + self.twist)
+        return self.carrying(combination) @ v
 
     def fit(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float]:
         """The combination (s,) of generators that the motion follows, and how far it is from following one.
@@ -105,6 +119,39 @@ class Symmetries:
         return pin.dIntegrate(self.model, self.q0, apart, pin.ArgumentPosition.ARG0)
 
 
+def _slides(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """(nv,) the coordinates of joints that have as many as velocities, in the order of these; zeros for others."""
+    out = np.zeros(model.nv)
+    for joint in model.joints[1:]:
+        if joint.nq == joint.nv:
+            out[joint.idx_v : joint.idx_v + joint.nv] = q[joint.idx_q : joint.idx_q + joint.nq]
+    return out
+
+
+def _find_turns(model: pin.Model) -> np.ndarray:
+    """(k, nv, nv) linear maps of the coordinates of joints that only slide, one after the other, which turn what they
+    carry about the origin of their coordinates, in each plane that their axes span."""
+    if model.nv == 0:
+        return np.zeros((0, 0, 0))
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    columns = [list(range(joint.idx_v, joint.idx_v + joint.nv)) for joint in model.joints]
+    rates = [pin.getJointJacobian(model, data, j, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1) for j in range(model.njoints)]
+    sliding = [j for j in range(1, model.njoints) if columns[j] and not rates[j][3:, columns[j]].any()]
+    turns: list[np.ndarray] = []
+    for last in set(sliding) - {model.parents[j] for j in sliding}:
+        own, j = list(columns[last]), model.parents[last]
+        while j in sliding:
+            own, j = columns[j] + own, model.parents[j]
+        _, sizes, axes = np.linalg.svd(rates[last][:3, own], full_matrices=False)
+        span = range(int((sizes > _TOLERANCE * sizes[0]).sum()))
+        for a, b in combinations(span, 2):
+            turns.append(np.zeros((model.nv, model.nv)))
+            ratio = sizes[b] / sizes[a]
+            turns[-1][np.ix_(own, own)] = ratio * np.outer(axes[a], axes[b]) - np.outer(axes[b], axes[a]) / ratio
+    return np.array(turns).reshape(len(turns), model.nv, model.nv)
+
+
 def find_symmetries(instant: Instant) -> Symmetries:
     """All generators under which contacts and accelerations stay alike, found by differences at random states nearby.
 
@@ -116,6 +163,7 @@ def find_symmetries(instant: Instant) -> Symmetries:
     brackets = Brackets(model)
     # of the coordinates that do not commute with all others: elsewhere the right part is the left one
     rights = np.flatnonzero(np.abs(brackets.constants).sum(axis=(0, 1)))
+    turns = _find_turns(model)
     blocks: list[np.ndarray] = []
     noise = 0.0
     spread = _SPREAD
@@ -127,7 +175,7 @@ def find_symmetries(instant: Instant) -> Symmetries:
         # velocities, too: what does not turn goes on along its own axes as it does along the world's
         v = instant.v + 0.3 * speed * spread / _SPREAD * rng.uniform(-1.0, 1.0, nv)
         try:
-            block, error = _defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights)
+            block, error = _defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights, turns)
         except (SolverError, SingularContactError):
             spread *= 0.5
             continue
@@ -147,16 +195,20 @@ def find_symmetries(instant: Instant) -> Symmetries:
     basis = np.linalg.qr(np.column_stack([rates / speed, np.eye(rates.size)]))[0]
     with_time = free @ rates / speed**2
     free = free @ basis[:, 1:]
-    right, twist = np.zeros((nv, free.shape[1])), np.zeros(nv)
-    right[rights], twist[rights] = free[nv:-1], with_time[nv:-1]
-    return Symmetries(model, brackets, instant.q.copy(), free[:nv], right, with_time[:nv], twist)
+    parts = np.cumsum([nv, rights.size, len(turns)])
+    lefts, of_right, of_turns, _ = np.vsplit(np.column_stack([free, with_time]), parts)
+    right = np.zeros((nv, lefts.shape[1]))
+    right[rights] = of_right
+    turn = np.tensordot(of_turns.T, turns, axes=1)
+    others, last = (lefts[:, :-1], right[:, :-1], turn[:-1]), (lefts[:, -1], right[:, -1], turn[-1])
+    return Symmetries(model, brackets, instant.q.copy(), *others, *last)
 
 
 def _defects(
-    instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray
+    instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray, turns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """(rows, nv + rights + 1) what each elementary generator changes at a state: gaps' rates, accelerations; and the
-    error of all that. The last generator is time.
+    """(rows, nv + rights + turns + 1) what each elementary generator changes at a state: gaps' rates, accelerations;
+    and the error of all that. The last generator is time.
     """
     model, nv = instant.model, instant.system.nv
     a = instant.evaluate(q, v)
@@ -165,8 +217,8 @@ def _defects(
     scale = max(1.0, float(np.abs(a).max(initial=0.0)))
     transport = pin.dIntegrate(model, instant.q, pin.difference(model, instant.q, q), pin.ArgumentPosition.ARG0)
     turned = np.eye(nv)[:, rights]
-    dq = np.hstack([transport, turned])
-    dv, expected = (np.hstack([np.zeros((nv, nv)), brackets(x) @ turned]) for x in (v, a))
+    dq = np.hstack([transport, turned, (turns @ _slides(model, q)).T])
+    dv, expected = (np.hstack([np.zeros((nv, nv)), brackets(x) @ turned, (turns @ x).T]) for x in (v, a))
 
     changes = np.vstack([dq, dv])
     steps = [instant.step_along(change, q, v) for change in changes.T]

@@ -73,15 +73,14 @@ class Nearest:
 
 
 class _Survey(NamedTuple):
-    """Candidates, the nearest first, and cells: middles (n, 3) in the divided contour's frame, radii (n,), least
-    distances (n,) of their points; how far it has been looked, in m; and see `Nearest.is_around`."""
+    """Cells that are near: middles (n, 3) in the divided contour's frame, radii (n,), distances (n,) of their middles
+    and least ones of their points; how far it has been looked, in m."""
 
-    found: list[Candidate]
     points: np.ndarray
     reaches: np.ndarray
+    distances: np.ndarray
     least: np.ndarray
     resolved: float
-    is_around: bool
 
 
 class Whole:
@@ -174,9 +173,10 @@ class NearestSearch:
         self._bends = one, two
         self.bend = self._bend(math.inf)
         self._single = system.alone(c)
-        # time and poses of the last search, and what it found
+        # time and poses of the last search, and what it found, candidates where somebody has asked for them
         self._state: tuple[float, bytes] | None = None
         self._survey: _Survey
+        self._found: tuple[list[Candidate], bool] | None = None
 
     @functools.cached_property
     def _cells(self) -> Workspace:
@@ -227,27 +227,38 @@ class NearestSearch:
         taken: pairs of points (2, 3) of body 1 and body 2, in the world, at which other contacts of the same contours
         are: nothing is looked for there.
         """
+        self._survey_at(t)
+        same, own = SAME_PLACE * self.system.contact_real[self.c, LENGTH], 1 - self.side
+        if self._found is None:
+            self._found = self._find(t)
+        every, is_around = self._found
+        found = [one for one in every if not any(np.abs(one.points - place).max() < same for place in taken)]
+        places = [pair[own] for pair in taken]
+        elsewhere = self._beside([*places, *(one.points[own] for one in found[:1])])
+        return Nearest(found, self._beside(places), elsewhere, is_around)
+
+    def distance(self, t: float, taken: Sequence[np.ndarray]) -> float:
+        """`Nearest.distance` alone, for which no stationary points are looked for."""
+        self._survey_at(t)
+        return self._beside([pair[1 - self.side] for pair in taken])
+
+    def _survey_at(self, t: float) -> None:
+        """Look, but not again for each of several contacts of the same contours."""
         state = t, self.system.frames[2 * self.c : 2 * self.c + 2, : ORIGIN + 1].tobytes()
         if state != self._state:
-            # not for each of several contacts of the same contours
-            self._state, self._survey = state, self._look(t)
-        survey, own = self._survey, 1 - self.side
-        same = SAME_PLACE * self.system.contact_real[self.c, LENGTH]
-        found = [one for one in survey.found if not any(np.abs(one.points - place).max() < same for place in taken)]
+            self._state, self._survey, self._found = state, self._look(t), None
 
-        def beside(places: list[np.ndarray]) -> float:
-            away = np.ones(len(survey.points), dtype=bool)
-            for place in places:
-                way = np.linalg.norm(survey.points - self.on_divided(place), axis=1)
-                away &= way > self.neighbourhood + survey.reaches
-            return min(float(survey.least[away].min(initial=math.inf)), survey.resolved)
-
-        places = [pair[own] for pair in taken]
-        elsewhere = beside([*places, *(one.points[own] for one in found[:1])])
-        return Nearest(found, beside(places), elsewhere, survey.is_around)
+    def _beside(self, places: list[np.ndarray]) -> float:
+        """The least distance of points in m that are in no neighbourhood of places (3,) in the world."""
+        survey = self._survey
+        away = np.ones(len(survey.points), dtype=bool)
+        for place in places:
+            way = np.linalg.norm(survey.points - self.on_divided(place), axis=1)
+            away &= way > self.neighbourhood + survey.reaches
+        return min(float(survey.least[away].min(initial=math.inf)), survey.resolved)
 
     def _look(self, t: float) -> _Survey:
-        """All that a search finds, wherever other contacts are."""
+        """The cells that are near, wherever other contacts are."""
         if self.whole.contour.time_dependent:
             self.whole = _whole(self.whole.contour, t)
             put_samples(self._cells, self.whole.tree)
@@ -263,11 +274,18 @@ class NearestSearch:
         sharpest = float(cells.numbers["sharpest"])
         # no larger than what has been looked at tells
         self.bend = min(self._bend(1.0 / sharpest if sharpest > 0.0 else math.inf), _GROWTH * beyond / _NEIGHBOURHOOD)
-        neighbourhood, count = self.neighbourhood, int(cells.counts["cells"])
+        count = int(cells.counts["cells"])
         points, reaches = cells.points[:count].copy(), cells.reaches[:count].copy()
         distances = cells.distances[:count] - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
-        nearest = cells.order[cells.pairs[:count]]
+        # what is farther than that has been left out
+        return _Survey(points, reaches, distances, least, float(distances.min()) + beyond)
+
+    def _find(self, t: float) -> tuple[list[Candidate], bool]:
+        """Candidates from the cells of the survey, the nearest first, and see `Nearest.is_around`."""
+        whole, cells, neighbourhood = self.whole, self._cells, self.neighbourhood
+        points, reaches, distances, least, _ = self._survey
+        nearest = cells.order[cells.pairs[: len(points)]]
         cells.numbers["apart"] = neighbourhood
         lowest_cells(cells.address)
         starts = [(i, int(nearest[i])) for i in cells.lowest[: int(cells.counts["lowest"])].tolist()]
@@ -278,9 +296,7 @@ class NearestSearch:
         known = min((float(np.linalg.norm(one.points[1] - one.points[0])) for one in found), default=math.inf)
         touches = least.min() == 0.0 and known > float(reaches.max() + whole.radius)
         is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, touches)
-        # what is farther than that has been left out
-        resolved = float(distances.min()) + beyond
-        return _Survey(found, points, reaches, least, resolved, is_around)
+        return found, is_around
 
     def _touch(self, t: float, distances: np.ndarray, touches: bool) -> bool:
         """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an

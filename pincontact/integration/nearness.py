@@ -228,10 +228,14 @@ class Nearness:
     def find(self, t: float) -> list[Candidate]:
         """The same; the distances that it finds are known from here on."""
         nearest = self.look(t)
+        self._take_down(t, nearest.distance, nearest.elsewhere)
+        return nearest.candidates
+
+    def _take_down(self, t: float, distance: float, elsewhere: float) -> None:
+        """What a search has found at the evaluated state."""
         assert self.search is not None
         (self.rotation, self.centre), self.time = self.search.pose(), t
-        self.distance, self.elsewhere = nearest.distance, nearest.elsewhere
-        return nearest.candidates
+        self.distance, self.elsewhere = distance, elsewhere
 
     def order(self, found: Candidate, t: float, h: float, slack: float) -> tuple[float, float]:
         """By which candidates at the evaluated state are compared, see `touching_order`."""
@@ -259,6 +263,11 @@ class Nearness:
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
         deepest = max(self.moved(t), shallow) if self.distance > -math.inf else shallow
         slack = float(self.system.gap_accuracy[self.c])
+        apart = self.search.distance(t, places_of(self.system, self.taken, self.c))
+        if apart > 0.0:
+            # wherever stationary points are
+            self._take_down(t, apart, apart)
+            return None
         inside = [
             found
             for found in self.find(t)

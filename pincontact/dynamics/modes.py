@@ -276,11 +276,15 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
                 self.release(g, -end)
         decision.status = evaluate(t)
         if decision.status <= EVENT and not self._holds():
-            chosen = self.redistribute(t, evaluate)
             # with other loads, what begins to slip might go back
-            if not chosen or self._going_back(decision):
+            if not (self.redistribute(t, evaluate) and self._begins(t, decision, evaluate)):
                 self._keep_solution(t, solution.forces, evaluate)
         return decision
+
+    def _begins(self, t: float, decision: Decision, evaluate: Callable[[float], int]) -> bool:
+        """Whether what begins to slip does so under the loads of the last evaluation, too, which may turn it."""
+        back, started = self._going_back(decision), [*decision.started]
+        return not back or (align_slips(self.system, t, started, evaluate) and not self._going_back(decision))
 
     def _going_back(self, decision: Decision) -> list[int]:
         """What begins to slip, but goes the other way under the loads of the last evaluation."""

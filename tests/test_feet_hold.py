@@ -103,3 +103,33 @@ def test_a_foot_tips_over_an_edge(seed, friction):
     stepped = pc.simulate(scene, state, duration, control=control, method="Moreau", step=2e-4)
     # it turns by some 0.1 rad, and begins to up to a step late
     assert np.abs(run.q[-1] - stepped.q[-1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("seed", [3, 18, 19, 24, 32])
+def test_feet_begin_to_slide_alike_in_any_order(seed):
+    """Redundant feet that begin to slide together have the least loads from then on, whatever held them before, and
+    whatever loads the solution of the cone problem had."""
+    rng = np.random.default_rng(seed)
+    count, height, mu = int(rng.integers(4, 7)), rng.uniform(0.1, 0.3), rng.uniform(0.3, 0.6)
+    angles = np.sort(rng.uniform(0.0, 2.0 * math.pi, count))
+    points = np.column_stack([0.2 * np.cos(angles), 0.15 * np.sin(angles), np.full(count, -height)])
+    push, torque = rng.normal(size=3) * [1.0, 1.0, 0.3], rng.normal(size=3)
+    force, torque = 12.0 * push / np.linalg.norm(push), 0.6 * torque
+    inertia = np.diag(rng.uniform(0.015, 0.05, 3))
+
+    def control(t, q, v):
+        turned = pin.Quaternion(q[3:7]).matrix().T
+        return t * np.r_[turned @ force, turned @ torque]
+
+    runs = []
+    for order in (points, points[::-1]):
+        scene = body_on_feet(order, mu, inertia=inertia)
+        state = scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0], np.zeros(6))
+        runs.append(pc.simulate(scene, state, 0.8, control=control))
+        assert runs[-1].status == 0, runs[-1].message
+        assert runs[-1].stats["open_loads"] == 0
+    # to the default tolerances
+    np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], atol=1e-8)
+    stepped = pc.simulate(scene, state, 0.8, control=control, method="Moreau", step=5e-4)
+    # it slides at up to 1 m/s, and begins up to a step late
+    assert np.abs(stepped.q[-1] - runs[1].q[-1]).max() < 7e-4

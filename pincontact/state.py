@@ -400,7 +400,7 @@ def _warn_of_side(contact: Contact, inferred: int, at_end: int) -> None:
         warnings.warn(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} start beside each other's "
             f"ends, where their sides cannot be told; it is taken to be {inferred:+d}, but at the nearest end it is "
-            f"{at_end:+d}: give add_contact side={at_end:+d} or side={inferred:+d}",
+            f"{at_end:+d}: give add_contact side={at_end:+d} or side={inferred:+d}.",
             stacklevel=5,
         )
 

@@ -275,10 +275,11 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             elif end != 0 and kinds[item] == cone.OPEN and -end * rate > still:
                 self.release(g, -end)
         decision.status = evaluate(t)
-        if decision.status <= EVENT and not self._holds():
-            # with other loads, what begins to slip might go back
-            if not (self.redistribute(t, evaluate) and self._begins(t, decision, evaluate)):
-                self._keep_solution(t, solution.forces, evaluate)
+        if decision.status > EVENT or self._holds():
+            return decision
+        # with other loads, what begins to slip might go back
+        if not (self.redistribute(t, evaluate) and self._begins(t, decision, evaluate)):
+            self._keep_solution(t, solution.forces, evaluate)
         return decision
 
     def _begins(self, t: float, decision: Decision, evaluate: Callable[[float], int]) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_motions import free_body
+from test_loads import body_on_feet
 
 import pincontact as pc
 
@@ -110,3 +111,24 @@ def test_slip_that_begins_and_ends_by_turns_does_not_make_steps_too_long(seed):
     assert [run.status for run in runs] == [0, 0], runs[0].message
     # the floor's way, up to 6e-5 m, is followed to first order
     np.testing.assert_allclose(runs[0].q[-1], runs[1].q[-1], rtol=0.0, atol=3e-5)
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("over", [1.05, 1.001])
+@pytest.mark.parametrize("count", [3, 4])
+def test_what_hardly_slides_does_in_short_steps_too(count, over, step):
+    """A block on feet, pushed by a little more than friction holds, has the acceleration of the rest; a step leaves no
+    more than a thousandth of its way, which is no round-off however short the step is."""
+    points = np.array([[0.1, 0.1, -0.05], [0.1, -0.1, -0.05], [-0.1, 0.1 * (count - 3), -0.05], [-0.1, -0.1, -0.05]])
+    scene = body_on_feet(points[:count], 0.5)
+    state = scene.initial_state([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0], np.zeros(6))
+    push = over * 0.5 * 9.81
+
+    def control(t, q, v):
+        # at the height of the floor, about which loads turn nothing
+        return np.array([push, 0.0, 0.0, 0.0, 0.05 * push, 0.0])
+
+    run = pc.simulate(scene, state, 2e-3, control=control, method="Moreau", step=step)
+    assert run.status == 0, run.message
+    # the block's acceleration is constant, and the midpoint rule has no error
+    assert run.q[-1, 0] == pytest.approx(0.5 * (push - 0.5 * 9.81) * 2e-3**2, rel=1e-3)

@@ -15,7 +15,7 @@ from ..friction.solve import ContactSolver
 from ..friction.starts import NEAREST, solve_cones
 from ..workspace import Workspace
 from .impulse_layout import APART, IN_VAIN, LOOKED_FOR, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
-from .impulse_problem import OPENING
+from .impulse_problem import least_way
 
 # Modes (n,), forces and velocities (3n,) of a solution.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -217,7 +217,8 @@ class ImpulseSolver:
     def _turning(self, problem: _Problem) -> np.ndarray:
         """(n,) which units slide or turn at the step's start."""
         start: np.ndarray = self._arrays.unit_start[: problem.n]
-        return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
+        h = self._numbers["h"]
+        return np.abs(start).max(axis=1) * h > least_way(h)
 
     def _search_hard(self, problem: _Problem) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b

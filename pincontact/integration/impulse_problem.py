@@ -38,9 +38,9 @@ from .impulse_units import gather_contacts, gather_joints, gather_turns, set_imp
 from .impulse_velocities import add_turn_row, beyond_rigid, free_gain, relative_turning, rigid_velocity, start_velocity
 from .impulse_viscous import add_viscous
 
-# What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
-# the same of turning.
-OPENING = 1e-12
+# What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities; in short
+# steps what accelerates by less than this in 1/s^2, or that would never begin. In rad, the same of turning.
+_OPENING, _OPENING_RATE = 1e-12, 1e-6
 # Mobility, relative to the unit's, of what slides whatever the forces.
 _NO_MOBILITY = 1e-9
 # Relative to b, this is round-off.
@@ -151,6 +151,12 @@ def _fill_row(system, step, u, row):
             unit.tied = 1
 
 
+@kernel
+def least_way(h):
+    """What slides or opens by no more in a step of h s does not: relative to the contact's length, or in rad."""
+    return min(_OPENING, _OPENING_RATE * h * h)
+
+
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
 def fill_unit(system, step, u):
     """Rows of unit u; elliptic cones are stretched."""
@@ -163,7 +169,8 @@ def fill_unit(system, step, u):
     if step.counts.touched != 0 and unit.kind < ON_JOINT:
         set_impact_friction(system, step, u)
     if unit.kind == ON_TURN and unit.mask == 3 and not rigid:
-        unit.midpoint = 1 if math.hypot(start[u, 0], start[u, 1]) * step.numbers.h > OPENING else 0
+        moves = math.hypot(start[u, 0], start[u, 1]) * step.numbers.h > least_way(step.numbers.h)
+        unit.midpoint = 1 if moves else 0
     elif unit.kind < ON_JOINT and system.contact_int[unit.index, ANISOTROPIC] != 0:
         numbers, r = system.contact_real[unit.index], 3 * u
         first, second, b = step.whitened[r], step.whitened[r + 1], step.loads
@@ -265,7 +272,7 @@ def _fill_units(system, step):
     for u in range(n):
         unit = step.units[u]
         length = system.contact_real[unit.index, LENGTH] if unit.kind < ON_JOINT else 1.0
-        least = OPENING * length / step.numbers.h
+        least = least_way(step.numbers.h) * length / step.numbers.h
         _complete_unit(unit, step.friction[u], step.unit_start[u], delassus, step.loads, 3 * u, least)
 
 

@@ -64,7 +64,7 @@ from .impulse_layout import (
     WANTED,
 )
 from .impulse_leaps import has_come_to_another, is_deeper, leaps
-from .impulse_problem import OPENING
+from .impulse_problem import least_way
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
 from .impulse_works import energy_put_right
@@ -148,7 +148,7 @@ def _begin_anew(step, n, known):
                 return
             slides = False
         else:
-            slides = math.hypot(start[0], start[1]) * step.numbers.h > OPENING
+            slides = math.hypot(start[0], start[1]) * step.numbers.h > least_way(step.numbers.h)
         known.modes[u] = cone.SLIP if slides or step.friction[u] == 0.0 else cone.STICK
         for k in range(3):
             known.forces[3 * u + k] = 0.0
@@ -233,7 +233,7 @@ def _lets_go(system, step, n):
         if unit.kind >= ON_JOINT or step.friction[u] < step.sticking[c]:
             continue
         rests = unit.struck == 0 and (step.start_mode[c] == STICK or may_rest(step, u))
-        opening = OPENING * system.contact_real[c, LENGTH]
+        opening = least_way(h) * system.contact_real[c, LENGTH]
         # what cannot open has no friction without a load
         may_slide = mode == cone.SLIP or (mode == cone.OPEN and unit.kind == ON_LOADED)
         slides = may_slide and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
@@ -506,7 +506,8 @@ def _review_end(system, step, h):
 @kernel
 def find_joint_states(system, step):
     """What limited coordinates do at STAGE_STATE, where nothing has said that they stick."""
-    state, nq, slowest = system.stage_state, system.sizes.nq, OPENING / step.numbers.step_size
+    state, nq, size = system.stage_state, system.sizes.nq, step.numbers.step_size
+    slowest = least_way(size) / size
     for g in range(system.joint_count[0]):
         joint, numbers = system.joint_int[g], system.joint_real[g]
         position, speed, end = state[joint[JOINT_Q]], state[nq + joint[JOINT_V]], joint[JOINT_END]
@@ -527,7 +528,7 @@ def _puts_off(system, step):
     between, or by the torques of a control, which the last two passes have told. Slip that begins and ends by turns
     from one pass to the next makes that velocity uncertain, too, where nothing comes of it."""
     nv, h, v, change = system.sizes.nv, step.numbers.h, step.mean, system.work
-    turned, moving = 0.0, step.numbers.free_change**2 + (OPENING / h) ** 2
+    turned, moving = 0.0, step.numbers.free_change**2 + (least_way(h) / h) ** 2
     for k in range(nv):
         turned = max(turned, h * max(abs(v[k]), abs(system.v[k])))
         moving += system.mass[k, k] * v[k] * v[k]

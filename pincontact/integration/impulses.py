@@ -86,7 +86,7 @@ from .impulse_layout import (
     UPPER_LIMIT,
 )
 from .impulse_leaps import LEAP, is_deeper
-from .impulse_problem import OPENING
+from .impulse_problem import least_way
 from .impulse_review import ANEW, DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
@@ -150,7 +150,7 @@ def _contact_mode(system, step, u, c):
     unit, cone_mode, h = step.units[u], step.cone_modes[u], step.numbers.h
     rebound = step.numbers.kept * unit.shift
     contact, numbers = system.contact_int[c], system.contact_real[c]
-    mu, opening = numbers[MU], OPENING * numbers[LENGTH]
+    mu, opening = numbers[MU], least_way(h) * numbers[LENGTH]
     rest = FRICTIONLESS if mu == 0.0 else STICK
     first, second = slip_at_end(step, u)
     slides = math.hypot(first, second) * h > opening
@@ -268,7 +268,7 @@ def distribute(system, step):
                 impulse[i, 2] += forces[3 * u + 2]
         if unit.kind == ON_TURN:
             first, second = slip_at_end(step, u)
-            turns = step.cone_modes[u] == cone.SLIP and math.hypot(first, second) * h > OPENING
+            turns = step.cone_modes[u] == cone.SLIP and math.hypot(first, second) * h > least_way(h)
             motion = SPIN if unit.axis == 2 else ROLL
             step.motion[i, motion] = _motion(step, u, step.start_motion[i, motion], turns)
         for row in range(3):
@@ -353,7 +353,7 @@ def advance(system, step):
         mean[k] = displacement[k] / h
         miss += mass[k, k] * (mean[k] - assumed[k]) ** 2
         # what moves by round-off is not far off
-        speed += mass[k, k] * (mean[k] ** 2 + (OPENING / h) ** 2)
+        speed += mass[k, k] * (mean[k] ** 2 + (least_way(h) / h) ** 2)
         total += v1[k]
         squares += v1[k] * v1[k]
     if squares == 0.0:

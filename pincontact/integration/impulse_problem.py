@@ -38,8 +38,9 @@ from .impulse_units import gather_contacts, gather_joints, gather_turns, set_imp
 from .impulse_velocities import add_turn_row, beyond_rigid, free_gain, relative_turning, rigid_velocity, start_velocity
 from .impulse_viscous import add_viscous
 
-# What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities; in short
-# steps what accelerates by less than this in 1/s^2, or that would never begin. In rad, the same of turning.
+# What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
+# the same of turning. Short steps take the rate, in 1/s^2, times their square: an acceleration. What begins from rest
+# covers less in a step than any fixed way if steps are short enough, and would never slide.
 _OPENING, _OPENING_RATE = 1e-12, 1e-6
 # Mobility, relative to the unit's, of what slides whatever the forces.
 _NO_MOBILITY = 1e-9

@@ -215,14 +215,14 @@ def watch_slips(system, n, accepted):
         scalars.slowest = slowest
         counters.stalled = min(counters.stalled, 0)
     elif near and scalars.turning_rate * scalars.step <= _STIFF:
-        stall(system)
+        counters.stalled = doubled(counters.stalled)
 
 
 @kernel
-def stall(system):
-    """Double the speed that counts as ended; past what usually does, which is 0, lest it be halved again."""
-    after = system.counters.stalled + 1
-    system.counters.stalled = min(after if after != 0 else 1, STOP_DOUBLINGS)
+def doubled(stalled):
+    """How often the speed that counts as ended has been doubled, once more; past the usual one, 0, lest it be halved
+    again."""
+    return min(stalled + 1 if stalled != -1 else 1, STOP_DOUBLINGS)
 
 
 @kernel

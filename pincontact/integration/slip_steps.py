@@ -11,7 +11,7 @@ from ..layout import MODE, START_SPEED, STICK, STOP_ERROR
 from .accuracy import slip_is_ending
 from .outputs import Outputs
 from .runge_kutta import RungeKutta
-from .slip_at_ends import LEFT_OUT, STOP_DOUBLINGS
+from .slip_at_ends import LEFT_OUT, doubled
 from .transitions import Transitions
 
 # Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
@@ -59,7 +59,7 @@ class SlipSteps:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
                 counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
                 # nor do these get nearer to the end of a slip that is as slow as they are accurate
-                counters["stalled"] = min(counters["stalled"] + 1 or 1, STOP_DOUBLINGS)
+                counters["stalled"] = doubled(int(counters["stalled"]))
             else:
                 counters["patience"] = PATIENCE
                 counters["step_count"] += 1

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..friction.choices import Units, holding_loads
 from ..friction.cone import SLIP, STICK
+from ..friction.feasibility import crushing_combination
 from ..friction.loads import TOLERANCE, LoadSolver
 from ..friction.solve import ContactSolver
 from ..layout import (
@@ -105,6 +106,14 @@ def apply_impact(
         drives = float(y @ before + 0.5 * y @ y) - contacts - joints
     system.v[:] += unwhiten(system, y)
     return Impact(contacts, drives, joints, kept)
+
+
+def crushing_items(system: System, closed: list[int], ends: list[int]) -> list[int]:
+    """Contacts of those closed, and joints (nc + coordinate) of those at their ends, whose normal impulses prove that
+    none keep bodies apart; none where there is no such proof."""
+    problem = _Problem(system, closed, ends, {})
+    pressing = crushing_combination(problem.gram, problem.base)
+    return [] if pressing is None else [item for item, unit in problem.units.items() if pressing[unit] > 0.0]
 
 
 class _Problem(ContactProblem):

@@ -58,6 +58,16 @@ def touch_elsewhere(t: float, name: str, trouble: int = TOUCHES_TWICE) -> Stop:
     return Stop(code, f"t = {t:.9g} s: contact {name!r}: {reason}")
 
 
+def crushed(t: float, where: list[str]) -> Stop:
+    """The Stop where what moves presses bodies into each other at these contacts, and joints onto their ends."""
+    return Stop(
+        NO_CONTACT_FORCE,
+        f"t = {t:.9g} s: bodies are crushed, and cannot give way to any forces: they are moved into each other at "
+        f"{', '.join(where)}",
+        blocked=True,
+    )
+
+
 def contradiction(system: System, t: float) -> str:
     """Which contacts contradict each other after the last projection of `stage_state`, and by how much; "" where none
     do. Leaves that state loaded, with its kinematics."""

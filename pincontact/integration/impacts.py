@@ -12,7 +12,7 @@ from ..dynamics.directions import slip_direction
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import associated
-from ..dynamics.impact import apply_impact, coefficient
+from ..dynamics.impact import apply_impact, coefficient, crushing_items
 from ..dynamics.modes import rest_mode
 from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..layout import (
@@ -30,6 +30,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import count_hop, gap_rate, gap_resolution, may_stop, rest_speed
+from .contradictions import crushed
 from .penetration import Penetration
 from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
@@ -163,6 +164,9 @@ class Impacts:
         energy = sum(changes.energies()) if deep else 0.0
         impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near}, jammed)
         if impact is None:
+            crushing = crushing_items(system, closed, list(ends))
+            if crushing:
+                raise crushed(t, [self.reports.describe(i) for i in crushing])
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
         self.rk.keep_velocity()

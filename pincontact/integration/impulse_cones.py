@@ -9,6 +9,7 @@ import numpy as np
 
 from ..friction.choices import Units, chosen_forces, holding_forces, holding_loads
 from ..friction.cone import OPEN, SLIP, STICK
+from ..friction.feasibility import crushing_combination
 from ..friction.loads import RADII_TOLERANCE, Loads
 from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
 from ..friction.solve import ContactSolver
@@ -100,10 +101,8 @@ class ImpulseSolver:
 
     def solve(self) -> bool:
         """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""
-        arrays, n, counts, solver = self._arrays, self._counts["units"].item(), self._counts, self.solver
-        gram, rows = arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n), slice(3 * n)
-        friction, units = arrays.friction[:n], arrays.units[:n]
-        problem = _Problem(n, gram, arrays.loads[rows], friction, units, arrays.whitened[rows])
+        arrays, counts, solver, problem = self._arrays, self._counts, self.solver, self._assembled()
+        n, rows = problem.n, slice(3 * problem.n)
         if counts["holding"] == WANTED:
             counts["holding"] = LOOKED_FOR if self._hold(problem) else IN_VAIN
         elif counts["choosing"]:
@@ -116,6 +115,19 @@ class ImpulseSolver:
         arrays.cone_forces[rows], arrays.cone_velocities[rows] = solver.forces, solver.velocities
         arrays.cone_modes[:n] = solver.modes
         return True
+
+    def crushing(self) -> list[tuple[bool, int]]:
+        """Of the assembled problem those whose normal impulses prove that none keep bodies apart: whether they are
+        joints, and the index of the contact or of the coordinate; none where there is no such proof."""
+        problem = self._assembled()
+        pressing = crushing_combination(problem.gram, problem.base)
+        units = problem.units[[] if pressing is None else pressing > 0.0]
+        return list(zip((units["kind"] == ON_JOINT).tolist(), units["index"].tolist()))
+
+    def _assembled(self) -> _Problem:
+        arrays, n = self._arrays, self._counts["units"].item()
+        gram, rows = arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n), slice(3 * n)
+        return _Problem(n, gram, arrays.loads[rows], arrays.friction[:n], arrays.units[:n], arrays.whitened[rows])
 
     def _share_tables(self) -> None:
         """Let compiled steps know where the solver works."""

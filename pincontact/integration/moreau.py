@@ -30,7 +30,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .contradictions import apart, contradiction
+from .contradictions import apart, contradiction, crushed
 from .impulse_cones import ImpulseSolver
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, step_workspace
 from .impulse_problem import assemble
@@ -485,6 +485,13 @@ class MoreauStep:
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
             number += f"{least_conditioned(system)}; near 0 bodies touch along a line, where shorter steps do not help"
         elif status == NO_FORCE:
+            pressing = self.cones.crushing()
+            if pressing:
+                limits = self.step_arrays.joints["limit"]
+                joints = [f"joint {system.limits[limits[i]].joint!r}" for on_joint, i in pressing if on_joint]
+                return crushed(
+                    t, [f"contact {system.contacts[i].name!r}" for on_joint, i in pressing if not on_joint] + joints
+                )
             units = self.step_arrays.units[: self._counts["units"]]
             contacts = dict.fromkeys(units["index"][units["kind"] != ON_JOINT].tolist())
             number = f" at {', '.join(repr(system.contacts[c].name) for c in contacts)}" if contacts else ""

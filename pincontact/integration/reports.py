@@ -111,7 +111,7 @@ class Reports:
             return None, self.system.limits[item - nc].joint
         return self.names[self.system.owner(item)], None
 
-    def _describe(self, item: int) -> str:
+    def describe(self, item: int) -> str:
         contact, joint = self._name(item)
         return f"contact {contact!r}" if contact is not None else f"joint {joint!r}"
 
@@ -138,7 +138,7 @@ class Reports:
                 raise Stop(
                     CHATTER,
                     f"t = {t:.9g} s: {count} {what} within {t - happened[-count - 1][0]:.3g} s (chatter), most of "
-                    f"{', '.join(self._describe(i) for i, _ in often)}",
+                    f"{', '.join(self.describe(i) for i, _ in often)}",
                 )
         most = 2 * max(limits)[0]
         if len(happened) > most:

@@ -10,7 +10,8 @@ SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwo
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
 # DIP is the part of an event function's change over a step by which it may dip between two stages, TURNING_RATE that of
 # the slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0,
-# and BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero
+# and BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero; FREE_SIZE: that of a_free in the mass
+# metric
 SCALARS = record(
     REALS,
     "time",
@@ -38,6 +39,7 @@ SCALARS = record(
     "bad_torque",
     "bad_time",
     "velocity_left",
+    "free_size",
 )
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
@@ -295,6 +297,7 @@ SYSTEM = Layout(
     ),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
     side_shape=(REALS, "sides", SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
     side_domain=(REALS, "sides", 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
+    side_periods=(REALS, "sides", 2),  # (2 nc, 2): after how much of u1 and u2 the contour repeats, infinite if never
     side_base=(REALS, "sides", 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
     side_motion=(
         REALS,

@@ -344,14 +344,18 @@ def total_tangent_rate(system, c, body, a, out):
 
 
 @kernel
-def distance_to_ends(dimension, u, chart, ends, distance):
+def distance_to_ends(dimension, u, chart, ends, periods, distance):
     """The least of distance and the parameters' distances from the ends (4,) of their domain, negative outside.
 
-    Ends are those of the first chart; other charts stay away from them.
+    Ends are those of the first chart; other charts stay away from them. Of the turns of an angle that counts which is
+    nearest to the domain.
     """
     if chart == 0:
         for a in range(dimension):
-            distance = min(distance, u[a] - ends[2 * a], ends[2 * a + 1] - u[a])
+            low, high, value = ends[2 * a], ends[2 * a + 1], u[a]
+            if periods[a] < math.inf and high < math.inf:
+                value -= periods[a] * round((value - 0.5 * (low + high)) / periods[a])
+            distance = min(distance, value - low, high - value)
     return distance
 
 

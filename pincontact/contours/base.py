@@ -73,6 +73,9 @@ class Contour(Written):
         Range of each parameter in the first chart, lengths in m and angles in rad; infinite if not given.
     periodic : k bools
         Whether each parameter wraps around its domain; not, if not given.
+    periods : k floats
+        After how much of each parameter f repeats itself, though the domain may be a part of that, as of an arc;
+        infinite if it does not. Of those that wrap around the whole domain, and infinite for others, if not given.
     limits : k pairs (low, high)
         Where a contact point comes to the contour's end, if elsewhere than at the ends of the domain.
     charts : tuple of int
@@ -111,6 +114,7 @@ class Contour(Written):
     pool: np.ndarray = field(default_factory=lambda: np.zeros(0))
     domain: tuple[tuple[float, float], ...] = ()
     periodic: tuple[bool, ...] = ()
+    periods: tuple[float, ...] = ()
     limits: tuple[tuple[float, float], ...] = ()
     charts: tuple[int, ...] = (0,)
     planar: bool = False
@@ -126,8 +130,10 @@ class Contour(Written):
             self._set(domain=(ALL,) * self.dimension)
         if not self.periodic:
             self._set(periodic=(False,) * self.dimension)
+        ends = list(zip(self.domain, self.periodic))
+        if not self.periods:
+            self._set(periods=tuple(high - low if wraps else math.inf for (low, high), wraps in ends))
         if not self.limits:
-            ends = zip(self.domain, self.periodic)
             self._set(limits=tuple(ALL if wraps else domain for domain, wraps in ends))
         if self.size is None:
             self._set(size=half_diagonal(self))

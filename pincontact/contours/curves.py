@@ -43,6 +43,7 @@ def _round(owner: str, a: float, b: float, domain: Any) -> dict[str, Any]:
         "shape": (a, b, 0.0),
         "domain": (limits,),
         "periodic": (closed,),
+        "periods": (2.0 * math.pi,),
         "planar": True,
         "size": max(a, b),
         "convex_side": int(closed),

@@ -38,6 +38,7 @@ def _straight(
         "dimension": 2,
         "domain": (angle, along),
         "periodic": (closed, False),
+        "periods": (2.0 * math.pi, math.inf),
         "limits": (ALL if closed else angle, limits),
         "convex_side": int(closed),
         "lengths": True,

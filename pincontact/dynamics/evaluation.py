@@ -254,7 +254,8 @@ def measure_ends(system, c):
     for body in range(2):
         u, side = system.location[c, 2 * body : 2 * body + 2], 2 * c + body
         dimension, chart = system.contact_int[c, K1 + body], system.side_int[side, CHART]
-        distance = distance_to_ends(dimension, u, chart, system.side_domain[side], distance)
+        ends, periods = system.side_domain[side], system.side_periods[side]
+        distance = distance_to_ends(dimension, u, chart, ends, periods, distance)
     system.contact_real[c, DOMAIN] = distance
 
 
@@ -303,6 +304,7 @@ def accelerate_freely(system):
             system.contact_int[system.sizes.nc + g, MODE], limit, system.joint_real[g]
         )
     whiten(system.factor, system.parents, nv, free, free)
+    system.scalars.free_size = math.sqrt(inner(free, free, nv))
     unwhiten(system.factor, system.parents, nv, free, free)
 
 

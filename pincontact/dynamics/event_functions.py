@@ -24,6 +24,7 @@ from ..layout import (
     HIGH_FORCE,
     JOINT_END,
     JOINT_SIGN,
+    JOINT_V,
     LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
@@ -53,6 +54,9 @@ from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_d
 # what a unit of normal force does.
 JAM_LIMIT = 1e-6
 
+# What presses a joint onto its end has no sign below this part of what would move that joint alone as much as all that
+# acts moves the bodies.
+_ROUND_OFF = 1e-14
 
 # Those that are forces, in N or N m; all others are ways in m or rad, or their speeds.
 FORCE_EVENTS = (NORMAL_EVENT, FRICTION_EVENT)
@@ -94,7 +98,9 @@ def joint_event_functions(system):
             if limit[JOINT_SIGN] != 0:
                 value[SPEED_EVENT] = limit[JOINT_SIGN] * system.slip[i, 2]
         else:
-            low, high, slack = numbers[LOW_FORCE], numbers[HIGH_FORCE], 0.0
+            low, high, k = numbers[LOW_FORCE], numbers[HIGH_FORCE], limit[JOINT_V]
+            # as in free flight, where nothing presses joints onto their ends
+            slack = _ROUND_OFF * math.sqrt(system.mass[k, k]) * system.scalars.free_size
             if limit[JOINT_END] == 0:
                 slack = system.contact_real[i, LIMIT_SLACK] * (high - low)
             if limit[JOINT_END] <= 0:

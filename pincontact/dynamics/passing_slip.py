@@ -127,13 +127,18 @@ class PassingSlip:
         """The size of a velocity in the mass metric of the last evaluation, in which half a square is an energy."""
         return _size(whitened_velocity(self.system, v))
 
+    def _of_units(self) -> float:
+        """The size, in the mass metric of the last evaluation, of a velocity of 1 in all coordinates that do not move
+        each other."""
+        return math.sqrt(self.system.mass.trace())
+
     def negligible(self) -> float:
         """What constraints may take from the velocity, in the mass metric of the last evaluation."""
         return self._negligible(self._speed(self.system.v))
 
     def _negligible(self, speed: float) -> float:
         rtol, atol = self.system.scale.tolist()
-        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * _size(self.system.factor))
+        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * self._of_units())
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
         """How far the velocity is from what it was, how large that was, and how far it may be at most: in the mass
@@ -149,7 +154,7 @@ class PassingSlip:
     def tolerance(self, speed: float) -> float:
         """The error that steps may make in a velocity of this size in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
-        return rtol * speed + atol * _size(self.system.factor)
+        return rtol * speed + atol * self._of_units()
 
 
 def _size(numbers: np.ndarray) -> float:

@@ -148,16 +148,18 @@ def stationary_points(
 
 
 def comes_back(system: Workspace, found: Candidate) -> bool:
-    """Take periodic coordinates back into their domains; whether all others are within theirs."""
+    """Take coordinates after which a contour repeats back to its domain; whether all are within theirs."""
     contact, within = system.contacts[0], True
     for side, contour in enumerate((contact.body1.contour, contact.body2.contour)):
         if found.charts[side] != 0:
             continue
         u = found.location[2 * side :]
         for a, (low, high) in enumerate(contour.domain):
-            if contour.periodic[a]:
-                u[a] -= (high - low) * math.floor((u[a] - low) / (high - low))
-            else:
+            if math.isfinite(contour.periods[a]):
+                # where the domain is less than a period, next to its middle
+                first = 0.5 * (low + high - contour.periods[a])
+                u[a] -= contour.periods[a] * math.floor((u[a] - first) / contour.periods[a])
+            if not contour.periodic[a]:
                 within = within and low <= u[a] <= high
     return within
 

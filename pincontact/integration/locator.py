@@ -65,12 +65,13 @@ _SPEED_ROUND_OFF = 1e-15
 
 class Crossing(NamedTuple):
     """A sign change at a fraction theta of the step: of event function `kind` of item c; value: what that is there,
-    plus what it may be below zero."""
+    plus what it may be below zero; until: the fraction at which all event functions were looked at next."""
 
     theta: float
     c: int
     kind: int
     value: float
+    until: float
 
 
 class EventLocator:
@@ -114,7 +115,7 @@ class EventLocator:
                     else:
                         denied.add((places[i], c, kind))
                 if crossed:
-                    return self._earliest(t, step, crossed, known)
+                    return self._earliest(t, step, crossed, known, places[i + 1])
         return None
 
     # ---------------------------------------------------------------- values
@@ -200,9 +201,15 @@ class EventLocator:
         return ends
 
     def _earliest(
-        self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]
+        self,
+        t: float,
+        step: float,
+        crossed: list[tuple[int, int]],
+        known: dict[tuple[int, int], float],
+        until: float,
     ) -> Crossing:
-        """First of the event functions `crossed` that turn negative between the samples on both sides; known: zeros."""
+        """First of the event functions `crossed` that turn negative between the samples on both sides; known: zeros;
+        until: the share of the later sample."""
         system = self.system
         system.sought[:] = NOT_SOUGHT
         for item in self._open.passed:
@@ -211,7 +218,7 @@ class EventLocator:
             system.sought[pair] = known.get(pair, UNKNOWN)
         c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
         value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
-        return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value)
+        return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value, until)
 
     # ---------------------------------------------------------------- true steps
 
@@ -225,6 +232,8 @@ class EventLocator:
         # an open contact may have gone over to other stationary points in the step, between which nothing interpolates
         as_good = self.rk.error <= _AS_GOOD and not self._open.may_go_over()
         system, h = self.system, crossing.theta * step
+        # not over what others do between later samples
+        furthest = step * (crossing.until if crossing.until < 1.0 else _FURTHEST)
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
         c, kind, slack = crossing.c, crossing.kind, system.slack
         # as small as the step to the crossing has it
@@ -240,7 +249,7 @@ class EventLocator:
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = slack.item(c, kind) - depth
         if slope < 0.0:
-            h = min(max(h - (found - below) / slope, back), _FURTHEST * step)
+            h = min(max(h - (found - below) / slope, back), furthest)
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
@@ -263,7 +272,7 @@ class EventLocator:
             denied = denied and value > max(round_off, zero)
             change = -value / slope if slope != 0.0 else 0.0
             close = abs(value) <= (round_off if is_force else zero) and abs(change) <= stands
-            if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
+            if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= furthest:
                 break
             h += change
         else:

@@ -1,0 +1,89 @@
+"""Contours that are a part of a turn: which of an angle's turns counts does not matter, at the start nor on the way."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import brentq
+
+import pincontact as pc
+
+RADIUS, BALL, G = 1.0, 0.05, 9.81
+# The cylinder's axis along y, u1 = pi / 2 at its bottom.
+ACROSS = pin.SE3(np.column_stack([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+METHODS = [{}, {"method": "Moreau", "step": 1e-3}]
+
+
+def ball_in(arc: pc.Contour, world: pin.SE3) -> pc.Scene:
+    """A ball that falls along -z of a world turned and moved by `world`, in an arc."""
+    model = pin.Model()
+    model.gravity.linear = world.rotation @ np.array([0.0, 0.0, -G])
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), world, "root")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, BALL), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    pipe = scene.add_contour("arc", arc, placement=world * ACROSS)
+    scene.add_contact("c", scene.add_contour("ball", pc.Sphere(BALL), frame="ball"), pipe, side=-1)
+    return scene
+
+
+def somewhere(rng: np.random.Generator) -> pin.SE3:
+    return pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized().matrix(), rng.normal(size=3))
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 1])
+@pytest.mark.parametrize("options", METHODS)
+def test_drops_into_an_arc(options, turns):
+    """From anywhere below the lips' height, whichever turn the arc is written with: touch at hypot(x, z) = R - r."""
+    rng = np.random.default_rng(turns + 1)
+    arc = pc.Cylinder(RADIUS, domain=((2.0 * math.pi * turns - 0.1, 2.0 * math.pi * turns + math.pi + 0.1), None))
+    for x, z in rng.uniform((-0.5, -0.3), (0.5, 0.0), (10, 2)).tolist():
+        due = math.sqrt(2.0 / G * (z + math.sqrt((RADIUS - BALL) ** 2 - x**2)))
+        scene = ball_in(arc, somewhere(rng))
+        run = pc.simulate(scene, scene.initial_state([x, 0.0, z, 0, 0, 0, 1], free=["c"]), due + 0.05, **options)
+        assert run.status == 0, run.message
+        # free fall is exact in both, the time of a touch as far as steps know it
+        assert [e.time for e in run.events if e.kind == "touch"][:1] == [pytest.approx(due, abs=1e-9)]
+
+
+def flight(lip: float, speed: float) -> float | None:
+    """How long a ball flies that leaves the right lip, at this angle above the axis' height; None where it comes down
+    beside the arc, or within 0.05 rad of the other lip."""
+    way = RADIUS - BALL
+    x, z = way * math.cos(lip), way * math.sin(lip)
+    vx, vz = -speed * math.sin(lip), speed * math.cos(lip)
+
+    def beyond(t: float) -> float:
+        return math.hypot(x + vx * t, z + vz * t - 0.5 * G * t * t) - way
+
+    times = np.linspace(0.0, 3.0, 3000)[1:]
+    outside = np.array([beyond(t) for t in times]) > 0.0
+    # it flies out of the circle first, over which it comes in again
+    out = np.flatnonzero(~outside[:-1] & outside[1:])
+    if not out.size:
+        return None
+    lands = float(brentq(beyond, times[out[0]], times[out[0] + 1]))
+    return lands if z + vz * lands - 0.5 * G * lands**2 < way * math.sin(lip - 0.05) else None
+
+
+@pytest.mark.parametrize("options", METHODS)
+def test_flies_from_one_lip_to_the_other_side(options):
+    """A frictionless ball leaves over a lip and comes down on the other side, where the angle is a turn away from that
+    of the way it has gone. Time stepping opens the contact at
+    the end of a step, which moves the landing by some steps."""
+    rng = np.random.default_rng(4)
+    landed = 0
+    while landed < 4:
+        lip, square = rng.uniform(0.1, 0.6), rng.uniform(2.0, 30.0)
+        due = flight(lip, math.sqrt(square))
+        if due is None or square <= 1.1 * (RADIUS - BALL) * G * math.sin(lip):
+            continue
+        landed += 1
+        scene = ball_in(pc.Cylinder(RADIUS, domain=((-lip, math.pi + lip), None)), somewhere(rng))
+        start = math.sqrt(square + 2.0 * G * (RADIUS - BALL) * (1.0 + math.sin(lip)))
+        state = scene.initial_state([0, 0, BALL - RADIUS, 0, 0, 0, 1], [start, 0, 0, 0, 0, 0])
+        run = pc.simulate(scene, state, due + 1.0, **options)
+        assert run.status == 0, run.message
+        leaves, lands = (next(e.time for e in run.events if e.kind == kind) for kind in ("edge", "touch"))
+        assert lands - leaves == pytest.approx(due, abs=1e-2 if options else 1e-7)

@@ -10,8 +10,8 @@ SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwo
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
 # DIP is the part of an event function's change over a step by which it may dip between two stages, TURNING_RATE that of
 # the slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0,
-# and BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero; FREE_SIZE: that of a_free in the mass
-# metric
+# and BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero;
+# FREE_SIZE is that of a_free in the mass metric
 SCALARS = record(
     REALS,
     "time",

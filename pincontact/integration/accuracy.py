@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import (
+    DOMAIN,
     LENGTH,
     MODE,
     MU,
@@ -103,6 +104,23 @@ def gaps_at_once(system: RunSystem) -> np.ndarray:
     """(items,) how large the gaps are, in m or rad, of what touches in the same instant as others."""
     least = np.maximum(_AT_ONCE * system.gap_accuracy, _AT_ONCE_ROUND_OFF * _round_off(system))
     return np.maximum(least, gap_resolution(system))
+
+
+def is_over(system: RunSystem, c: int) -> bool:
+    """Whether the points of contact c are inside the contours' domains in the last evaluation, or at an end and about
+    to come in."""
+    domain, tiny = float(system.contact_real[c, DOMAIN]), _AT_ONCE_ROUND_OFF * _round_off(system)
+    if abs(domain) > tiny:
+        return domain > 0.0
+    rate, least = 0.0, math.inf
+    for i, (u, moves) in enumerate(zip(system.location[c].tolist(), system.rates[c].tolist())):
+        low, high = system.side_domain[2 * c + i // 2].reshape(2, 2)[i % 2].tolist()
+        period = float(system.side_periods[2 * c + i // 2, i % 2])
+        if math.isfinite(period) and math.isfinite(high):
+            u -= period * round((u - 0.5 * (low + high)) / period)
+        if min(u - low, high - u) < least:
+            least, rate = min(u - low, high - u), moves if u - low < high - u else -moves
+    return rate > 0.0
 
 
 def _round_off(system: RunSystem) -> float:

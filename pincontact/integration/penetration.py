@@ -14,7 +14,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, UNILATERAL
-from .accuracy import gap_rate, gap_resolution, gaps_at_once
+from .accuracy import gap_rate, gap_resolution, gaps_at_once, is_over
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -60,7 +60,7 @@ class Penetration:
     def touches(self, c: int) -> bool:
         """Whether an open contact touches now as far as instants are told apart, between points inside both domains."""
         system = self._rk.system
-        return bool(system.contact_real[c, DOMAIN] >= 0.0 and abs(system.gaps[c, 0]) <= gaps_at_once(system)[c])
+        return bool(abs(system.gaps[c, 0]) <= gaps_at_once(system)[c]) and is_over(system, c)
 
     def has_stayed_closed(self, c: int) -> bool:
         """Whether contact c has opened, and the gap is and was zero within its error since, the last trial step

@@ -15,14 +15,18 @@ ACROSS = pin.SE3(np.column_stack([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 
 METHODS = [{}, {"method": "Moreau", "step": 1e-3}]
 
 
-def ball_in(arc: pc.Contour, world: pin.SE3) -> pc.Scene:
-    """A ball that falls along -z of a world turned and moved by `world`, in an arc."""
+def free_ball(radius: float, world: pin.SE3) -> pin.Model:
+    """A ball that falls along -z of a world turned and moved by `world`."""
     model = pin.Model()
     model.gravity.linear = world.rotation @ np.array([0.0, 0.0, -G])
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), world, "root")
-    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, BALL), pin.SE3.Identity())
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
     model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    return model
+
+
+def ball_in(arc: pc.Contour, world: pin.SE3) -> pc.Scene:
+    scene = pc.Scene(free_ball(BALL, world))
     pipe = scene.add_contour("arc", arc, placement=world * ACROSS)
     scene.add_contact("c", scene.add_contour("ball", pc.Sphere(BALL), frame="ball"), pipe, side=-1)
     return scene
@@ -87,3 +91,16 @@ def test_flies_from_one_lip_to_the_other_side(options):
         assert run.status == 0, run.message
         leaves, lands = (next(e.time for e in run.events if e.kind == kind) for kind in ("edge", "touch"))
         assert lands - leaves == pytest.approx(due, abs=1e-2 if options else 1e-7)
+
+
+@pytest.mark.parametrize("size", [0.003, 0.03, 0.3, 30.0])
+def test_starts_in_pipes_of_any_size(size):
+    """A ball at rest in a half pipe without ends along its axis. An arc's angle was cut like a length, in m."""
+    rng = np.random.default_rng(7)
+    for lip in rng.uniform(-0.2, 0.3, 8).tolist():
+        radius = size * rng.uniform(0.05, 0.3)
+        scene = pc.Scene(free_ball(radius, pin.SE3.Identity()))
+        pipe = scene.add_contour("pipe", pc.Cylinder(size, ((lip, math.pi - lip), None)), placement=ACROSS)
+        scene.add_contact("c", scene.add_contour("ball", pc.Sphere(radius), frame="ball"), pipe)
+        state = scene.initial_state([0.0, 0.0, radius - size, 0.0, 0.0, 0.0, 1.0])
+        assert abs(state.correction.gaps["c"]) < 1e-9 * size

@@ -96,7 +96,7 @@ class Contour(Written):
     kind : int
         By what compiled code knows the shape, where it has a closed form or charts for it.
     lengths : bool
-        Parameters that do not wrap around are lengths in m.
+        Parameters after which f does not repeat are lengths in m.
 
     Examples
     --------

@@ -253,7 +253,7 @@ def _sample(
             continue
         count = counts[a]
         # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
-        if not contour.periodic[a] and contour.lengths:
+        if contour.lengths and math.isinf(contour.periods[a]):
             low, high = max(low, -window), min(high, window)
         elif not math.isfinite(high - low):
             low, high, wanted = _within(contour, a, t, window)

@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 
 from ..contours import Contour
-from ..layout import CHART, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE
+from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE
 from ..workspace import Workspace
 from .carriers import OMEGA, ORIGIN, VELOCITY
+from .location import NO_CLOSED_FORM
 from .nearest import least_whole
 from .patterns import ON_SURFACE, PLANAR
 from .search import sample
@@ -41,9 +42,13 @@ class Beside:
 
     @staticmethod
     def is_seen(system: Workspace, c: int) -> bool:
-        """Whether body 2 of contact c has ends beside which a smaller body 1 may be, or one that has none."""
-        one, two = system.contacts[c].body1.contour, system.contacts[c].body2.contour
-        if system.contact_int[c, PATTERN] not in (PLANAR, ON_SURFACE):
+        """Whether body 2 of contact c has ends beside which a smaller body 1 may be, or one that has none, and that
+        matters: its side is told, or it has to be followed."""
+        contact, integers = system.contacts[c], system.contact_int[c]
+        one, two = contact.body1.contour, contact.body2.contour
+        if integers[PATTERN] not in (PLANAR, ON_SURFACE):
+            return False
+        if integers[CLOSED_FORM] != NO_CLOSED_FORM and (integers[K1] == 0 or contact.side is not None):
             return False
         if not (np.isfinite(two.ends()).any() and np.isfinite(one.domain).all()):
             return False

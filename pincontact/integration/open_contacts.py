@@ -93,8 +93,9 @@ class OpenContacts:
         self.relocated: set[int] = set()
         self.is_near = False
         self._watched: list[Nearness] = []
-        # contacts that are beside ends, and what is seen of those
+        # contacts that are beside ends, what is seen of those, and for how long in s that holds for all
         self._ending: list[int] = []
+        self._hold = math.inf
         self._beside: dict[int, Beside] = {}
         self._free: list[bool] | None = None if self._searched else [False] * system.nc
         self._gravity = math.hypot(*system.gravity.tolist())
@@ -137,17 +138,19 @@ class OpenContacts:
         bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
         beside until bodies are over each other, or have touched."""
         integers = self.system.contact_int
-        self._ending = self.at_ends()
+        self._ending, self._hold = self.at_ends(), math.inf
         for c in self._ending:
-            if c in self._beside and self._side_holds(c) >= h:
-                continue
-            beside = self._seen(c)
-            told, is_over = beside.look(t)
-            side = integers.item(c, SIDE)
-            turns = self.system.contacts[c].side is None and told * side < 0
-            if turns or beside.is_far():
-                self._move(t, c, told if turns else side, beside.nearest)
-            integers[c, BESIDE] = not is_over
+            holds = self._side_holds(c) if c in self._beside else 0.0
+            if holds < h:
+                beside = self._seen(c)
+                told, is_over = beside.look(t)
+                side = integers.item(c, SIDE)
+                turns = self.system.contacts[c].side is None and told * side < 0
+                if turns or beside.is_far():
+                    self._move(t, c, told if turns else side, beside.nearest)
+                integers[c, BESIDE] = not is_over
+                holds = self._side_holds(c)
+            self._hold = min(self._hold, holds)
 
     def at_ends(self) -> list[int]:
         """Contacts whose bodies have not been over each other yet."""
@@ -219,8 +222,7 @@ class OpenContacts:
                 if turning > 0.0 and known.whole is not None and known.whole.extent > 0.0:
                     limit = min(limit, max(_TURN / turning, free))
             longest = min(longest, limit)
-        longest = min([longest, *map(self._side_holds, self._ending)])
-        longest, self._cut = min(longest, self._cut), math.inf
+        longest, self._cut = min(longest, self._hold, self._cut), math.inf
         self.is_near = near
         return longest, near
 
@@ -252,8 +254,7 @@ class OpenContacts:
         if self._went_through(t, h, touched):
             return 0
         self.system.run(BOUND_SPEEDS)
-        hold = min(map(self._side_holds, self._ending), default=math.inf)
-        steps = max(int(min(hold / h, MANY_STEPS)), 1)
+        steps = max(int(min(self._hold / h, MANY_STEPS)), 1)
         for known in self._watched:
             if math.isinf(known.near):
                 continue

@@ -5,6 +5,8 @@ What the contour would go on as says nothing of that; the contour itself does, w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
@@ -37,6 +39,7 @@ class Beside:
         self.piece: Contour = contact.body2.contour
         self._middle, self._reach = middle_of(contact.body1.contour), reach_of(contact.body1.contour)
         self.nearest, self.distance = np.zeros(self.piece.dimension), 0.0
+        self._off = float(np.linalg.norm(self._middle))
         # where the middle was at the last look, and how far it may go from there
         self._place, self._way = np.zeros(3), 0.0
 
@@ -61,11 +64,11 @@ class Beside:
         return np.asarray(other[:3].T @ (own[:3] @ self._middle + own[ORIGIN] - other[ORIGIN]))
 
     def speed(self) -> float:
-        """Its speed there in m/s."""
-        own, other = self.system.frames[2 * self.c], self.system.frames[2 * self.c + 1]
-        lever = own[:3] @ self._middle
-        velocity = own[VELOCITY] + np.cross(own[OMEGA], lever) - other[VELOCITY]
-        return float(np.linalg.norm(velocity - np.cross(other[OMEGA], own[ORIGIN] + lever - other[ORIGIN])))
+        """Its speed there in m/s, at most."""
+        own, other = self.system.frames[2 * self.c : 2 * self.c + 2].tolist()
+        turning = math.hypot(*own[OMEGA]) * self._off
+        turning += math.hypot(*other[OMEGA]) * (math.dist(own[ORIGIN], other[ORIGIN]) + self._off)
+        return math.dist(own[VELOCITY], other[VELOCITY]) + turning
 
     def left(self) -> float:
         """How far in m the middle may go before body 1 may touch, or is on another side, for all that was seen."""

@@ -103,7 +103,8 @@ CALLBACK = record(
     "model_joints",
 )
 
-# contact_int; from MODE to FROZEN what a State keeps of it
+# contact_int; from MODE to BESIDE what a State keeps of it. BESIDE: an open contact whose body has not come over
+# the other contour yet, but was beside its ends: where its side is not given, that may still change
 (
     PATTERN,
     K1,
@@ -116,6 +117,7 @@ CALLBACK = record(
     SLIP_SIGN,
     NORMAL_SIGN,
     FROZEN,
+    BESIDE,
     UNILATERAL,
     CLOSED_FORM,
     ANISOTROPIC,
@@ -124,8 +126,8 @@ CALLBACK = record(
     OWNER,
     WHOLE,
     NEXT,
-) = range(19)
-CONTACT_INTS = 19
+) = range(20)
+CONTACT_INTS = 20
 # contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
 ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # contact_int[SPINNING_ROW], contact_int[ROLLING_ROW]: rows of a contact's resistances among all, 0 for none;

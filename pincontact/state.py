@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,13 +25,15 @@ from .dynamics.manifold import (
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.nearest import NearestSearch, is_searched
-from .geometry.search import Candidate, comes_back, find_candidates, side_of_pieces
+from .geometry.search import Candidate, comes_back, find_candidates, on_side
+from .geometry.sides import Beside
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
 from .integration.nearness import of_same_contours
 from .integration.run_system import RunSystem
 from .layout import (
+    BESIDE,
     BRANCH,
     CHART,
     DETERMINANT_SIGN,
@@ -101,9 +102,10 @@ class State:
         Time in s.
     location : (nc, 4) array
         Location parameters of each contact, two for u_1, two for u_2, in m or rad.
-    discrete : (nc, 9) array of int
+    discrete : (nc, 10) array of int
         Of each contact mode, charts of both bodies, side, branch, sign of det J, sign of slip, sign of the normal force
-        (0 where it slides, closed, and carries nothing), frozen direction.
+        (0 where it slides, closed, and carries nothing), frozen direction, whether
+        it is open beside ends, and has not been over them yet.
     correction : Correction, optional
         What `Scene.initial_state` changed.
     candidates : dict of str to list of Candidate, optional
@@ -310,10 +312,8 @@ def find_state(
     contacts = list(scene.contacts.values())
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
-    candidates = {}
-    # no comprehension: warnings count the calls from the user's
-    for contact in contacts:
-        candidates[contact.name] = _candidates(scene, contact, q, v, t, contact.name in free)
+    found = {contact.name: _candidates(scene, contact, q, v, t, contact.name in free) for contact in contacts}
+    candidates = {name: told.candidates for name, told in found.items()}
     places: dict[int, Candidate] = {}
     untouched: dict[str, NoContactError] = {}
     # closed ones first: open ones of the same contours are where these are not
@@ -321,12 +321,13 @@ def find_state(
         is_free = contact.name in free
         try:
             left = _left(system, c, candidates[contact.name], places, is_free)
-            chosen = _choose(contact, left, is_free, max_gap)
+            chosen = _choose(contact, left, is_free, max_gap, found[contact.name].side)
         except NoContactError as error:
             untouched[contact.name] = error
             continue
         integers = system.contact_int[c]
-        integers[SIDE] = contact.side or chosen.side or 1
+        integers[SIDE] = found[contact.name].side or chosen.side or 1
+        integers[BESIDE] = found[contact.name].is_beside
         integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
         places[c] = chosen
         system.location[c] = chosen.location
@@ -361,9 +362,16 @@ def _left(
     return left or found
 
 
-def _candidates(
-    scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool
-) -> list[Candidate]:
+class _Found(NamedTuple):
+    """Where a contact may be, the side on which it is, 0 where that of a candidate counts, and whether body 1 is beside
+    the ends of body 2."""
+
+    candidates: list[Candidate]
+    side: int
+    is_beside: bool = False
+
+
+def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool) -> _Found:
     single = System(scene.model, [contact])
     single.q[:], single.v[:] = q, v
     single.evaluate_kinematics(t)
@@ -376,33 +384,26 @@ def _candidates(
                 guess[offset : offset + values.size] = values
     guess[contact.body1.contour.dimension : 2] = 0.0
     guess[2 + contact.body2.contour.dimension :] = 0.0
+    side, is_over, end = contact.side or 0, True, None
     if not is_free:
-        return find_candidates(single, t, guess)
+        return _Found(find_candidates(single, t, guess), side)
+    if is_seen := Beside.is_seen(single, 0):
+        beside = Beside(single, 0)
+        told, is_over = beside.look(t)
+        end = None if is_over else beside.nearest
     try:
-        found = find_candidates(single, t, guess, beyond=True)
+        found = find_candidates(single, t, guess, beyond=True, end=end)
     except SingularContactError:
         if not (is_searched(single, 0) and _are_apart(single, t)):
             raise
-        return _beside(single, t, guess)
+        found = _beside(single, t, guess)
     is_beyond = bool(found) and not comes_back(single, found[0])
-    if found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
+    if is_seen and (is_beyond or not is_over):
+        side = side or told
+    if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
         found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess))
-    if is_beyond and contact.side is None:
-        _warn_of_side(contact, found[0].side, side_of_pieces(single, t))
-    return found
-
-
-def _warn_of_side(contact: Contact, inferred: int, at_end: int) -> None:
-    """Say that the side of an open contact, which is inferred from what its contours would go on as, is not that on
-    which the body is of the contour where this ends: it may come over the contour on either."""
-    if inferred * at_end < 0:
-        warnings.warn(
-            f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} start beside each other's "
-            f"ends, where their sides cannot be told; it is taken to be {inferred:+d}, but at the nearest end it is "
-            f"{at_end:+d}: give add_contact side={at_end:+d} or side={inferred:+d}.",
-            stacklevel=5,
-        )
+    return _Found(found, side, not is_over)
 
 
 def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
@@ -461,16 +462,15 @@ def _refuse_gaps(system: RunSystem, t: float) -> None:
         )
 
 
-def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None) -> Candidate:
-    """The candidate nearest to touching, on the side asked for where the shapes tell sides apart."""
+def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None, side: int) -> Candidate:
+    """The candidate nearest to touching, on the side asked for, 0 for any, where the shapes tell sides apart."""
     pair = f"{contact.first.name!r} and {contact.second.name!r}"
     if not found:
         raise NoContactError(
             f"contact {contact.name!r}: no point at which {pair} could touch was found in this configuration; move q, "
             "give add_contact a guess location=(u_first, u_second), or look at the contours' domains"
         )
-    fitting = [c for c in found if contact.side is None or c.side in (0, contact.side)] or found
-    chosen = fitting[0]
+    chosen = on_side(found, side)[0]
     limit = max_gap if max_gap is not None else CLOSED_WITHIN * characteristic_length(contact)
     if not is_free and abs(chosen.gap) > limit:
         raise NoContactError(

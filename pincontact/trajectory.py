@@ -19,6 +19,7 @@ from .display import EVENTS_SHOWN, html_table, shortened
 from .dynamics.energy import energies_at
 from .energies import Energies
 from .errors import TrajectoryError, sentence
+from .integration.discrete import DISCRETE_COLUMNS
 from .integration.results import Event
 from .records import Recorded, joined
 from .scene import Scene
@@ -387,6 +388,9 @@ class Trajectory:
             events = [Event(t, contact, kind, q, v, *rest) for (t, contact, kind, *rest), q, v in states]
             found = scene if scene is not None else Scene(pin.Model())
             required, optional = ("location", "discrete", "directions"), ("works", "torques", "resistances")
+            # files of runs that did not tell which contacts were beside ends
+            missing = DISCRETE_COLUMNS - arrays["discrete"].shape[2]
+            arrays["discrete"] = np.pad(arrays["discrete"], ((0, 0), (0, 0), (0, missing)))
             kept = [arrays[key] for key in required] + [arrays.get(key) for key in (*optional, "total_at_start")]
             recorded, end = partial(Recorded, *kept), (header["status"], header["message"], header["stats"])
             run = cls(found, arrays["t"], arrays["q"], arrays["v"], recorded, events, *end)

@@ -21,7 +21,7 @@ from pincontact.geometry.frames import curve_normal_axis
 from pincontact.geometry.location import NORMAL, conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
 from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
-from pincontact.geometry.search import _sample, _seeds, find_candidates, stationary_points
+from pincontact.geometry.search import _seeds, find_candidates, sample, stationary_points
 from pincontact.layout import K1, K2, LENGTH, PATTERN, SYSTEM
 
 UNKNOWN = np.full(4, np.nan)
@@ -292,7 +292,7 @@ def test_samples_are_of_the_placed_contour(contour):
     for guess in (np.full(2, np.nan), np.array([0.3, np.nan]), np.array([np.nan, 0.3])):
         if k < 2 and not np.isnan(guess[k:]).all():
             continue
-        parameters, points, normals, tangents = _sample(contour, MOVED, 0.0, 1.5, guess)
+        parameters, points, normals, tangents = sample(contour, MOVED, 0.0, 1.5, guess)
         assert len(tangents) == k
         for a, (low, high) in enumerate(contour.domain):
             column = parameters[:, a]
@@ -354,14 +354,14 @@ def test_samples_of_what_goes_on_for_ever():
         (pc.Helix(0.4, 0.0), 1.0, (-256.0, 256.0), 2048),
         (by_formula(0.4, 0.1), 3.0, (-48.0, 48.0), 241),
     ):
-        parameters, *_ = _sample(contour, MOVED, 0.0, window, np.full(2, np.nan))
+        parameters, *_ = sample(contour, MOVED, 0.0, window, np.full(2, np.nan))
         inset = 1e-3 * (ends[1] - ends[0])
         assert (parameters[0, 0], parameters[-1, 0]) == pytest.approx((ends[0] + inset, ends[1] - inset), rel=1e-12)
         assert len(parameters) == pytest.approx(count, abs=1)
     surface = pc.ParametricSurface(
         lambda u, v: (0.1 * u, np.cos(v), np.sin(v)), ((-math.inf, math.inf), (0.0, 2.0 * math.pi)), (False, True)
     )
-    parameters, *_ = _sample(surface, MOVED, 0.0, 3.0, np.full(2, np.nan))
+    parameters, *_ = sample(surface, MOVED, 0.0, 3.0, np.full(2, np.nan))
     assert len(parameters) == 61 * 31
     assert parameters[:, 0].max() == pytest.approx(48.0 * (1.0 - 2e-3), rel=1e-12)
 

@@ -15,7 +15,7 @@ from pincontact.contours.charts import convert_chart
 from pincontact.errors import PatternError
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
-from pincontact.geometry.search import _sample, _within, find_candidates
+from pincontact.geometry.search import _within, find_candidates, sample
 from pincontact.layout import LAST_NORMAL_X, LOCATION_FAILED, OK, SIDE
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -53,12 +53,12 @@ def oblique(u, v):
 def test_normals_of_samples_are_unit_vectors_across_both_tangents():
     """Of a surface whose parameter lines meet at an angle of 11 degrees, and of one with a pole, which has none."""
     sheet = pc.ParametricSurface(oblique, ((-1.0, 1.0), (-1.0, 1.0)))
-    _, _, normals, tangents = _sample(sheet, MOVED, 0.0, 1.0, np.full(2, np.nan))
+    _, _, normals, tangents = sample(sheet, MOVED, 0.0, 1.0, np.full(2, np.nan))
     assert np.linalg.norm(normals, axis=1) == pytest.approx(np.ones(len(normals)), rel=1e-12)
     for tangent in tangents:
         assert np.abs(np.einsum("ij,ij->i", normals, tangent)).max() < 1e-12
     fan = pc.ParametricSurface(lambda u, v: (u * np.cos(v), u * np.sin(v), 0.0), ((0.0, 1.0), (0.0, 1.0)))
-    _, points, normals, tangents = _sample(fan, pin.SE3.Identity(), 0.0, 1.0, np.array([0.0, np.nan]))
+    _, points, normals, tangents = sample(fan, pin.SE3.Identity(), 0.0, 1.0, np.array([0.0, np.nan]))
     assert not points.any()
     assert not normals.any()
     assert not tangents[1].any()

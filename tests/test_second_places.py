@@ -527,3 +527,36 @@ def test_two_places_that_become_one(width, flat):
     # in m, of 0.4: up to there both are the same, but for the error of steps
     near = np.searchsorted(stepped.t, run.t[-1])
     np.testing.assert_allclose(stepped.q[near, :3], run.q[-1, :3], atol=2e-3)
+
+
+def test_cells_that_show_bodies_apart_spare_newtons_method(monkeypatch):
+    """Beside a closed contact it is asked for stationary points only where cells do not tell that bodies are apart, and
+    these tell no more than is so: densely sampled, the ground is at least as far from the ball."""
+    asked, told = [], []
+    find, distance = NearestSearch._find, NearestSearch.distance
+
+    def counted(search, t):
+        asked.append(t)
+        return find(search, t)
+
+    def compared(search, t, taken):
+        least = distance(search, t, taken)
+        (place,) = taken
+        origin = search.system.frames[0, 3]
+        x = origin[:2, None, None] + np.stack(np.meshgrid(*[np.linspace(-0.4, 0.4, 401)] * 2))
+        heights = ground.evaluate_many(x.reshape(2, -1).T, t)[:, 0]
+        beside = np.linalg.norm(heights - place[1], axis=1) > search.neighbourhood
+        told.append((least, np.linalg.norm(heights[beside] - origin, axis=1).min() - radius))
+        return least
+
+    monkeypatch.setattr(NearestSearch, "_find", counted)
+    monkeypatch.setattr(NearestSearch, "distance", compared)
+    radius = 0.15
+    ground = pc.HeightField(narrow("ridge", 0.03, 0.04), domain=((-15.0, 15.0), (-15.0, 15.0)))
+    for method in ("DOP853", "Moreau"):
+        asked.clear()
+        told.clear()
+        assert rolls(1, ground, radius, method).status == -3
+        apart = sum(least > 0.0 for least, _ in told)
+        assert apart > 5 and len(asked) == len(told) - apart
+        assert all(least <= max(sampled, 0.0) for least, sampled in told)

@@ -32,6 +32,7 @@ _LEAST_WINDOW = 1e-3
 # Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
 # taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
+_UNKNOWN = (math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,14 @@ class Candidate:
         return near and bool(np.linalg.norm(self.point - other.point) < SAME_PLACE * length)
 
 
-def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
+def find_candidates(
+    system: Workspace, t: float, guess: np.ndarray, beyond: bool = False, end: np.ndarray | None = None
+) -> list[Candidate]:
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
     guess (4,): contact coordinates, NaN where unknown. A complete guess is the only start. beyond: where there is none
-    inside the contours' domains, those on their continuations, where nothing touches, will do.
+    inside the contours' domains, those on their continuations, where nothing touches, will do. end (k2,): parameters of
+    an end of body 2, beyond which it goes on as well; that which is nearest to it is first.
     Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """
     contact = system.contacts[0]
@@ -104,7 +108,7 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
         starts = np.array([guess] if complete else _seeds(system, t, guess)).reshape(-1, 4)
         branches = [1] * len(starts)
     found: list[Candidate] = []
-    every, statuses = stationary_points(system, t, starts, branches)
+    every, statuses = stationary_points(system, t, starts, branches, inside=end is None)
     if beyond and not every:
         every, _ = stationary_points(system, t, starts, branches, inside=False)
     for candidate in every:
@@ -120,7 +124,26 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
             "is on an axis of symmetry of the other: move q a little",
             abs(float(system.contact_real[0, CONDITION])),
         )
-    return sorted(found, key=lambda c: abs(c.gap))
+    if end is None:
+        return sorted(found, key=lambda c: abs(c.gap))
+    contour, same = contact.body2.contour, SAME_PLACE * system.contact_real[0, LENGTH]
+    point = pose_of(system.data, contact.body2, t).act(contour.point(end.tolist(), t))
+    for candidate in found:
+        _unwind(contour, candidate, end, t, same)
+    # of both sides of a place the nearer one
+    return sorted(found, key=lambda c: (round(float(np.linalg.norm(c.point - point)) / same), abs(c.gap)))
+
+
+def _unwind(contour: Contour, found: Candidate, end: np.ndarray, t: float, same: float) -> None:
+    """Have angles on body 2, of which Newton's method may have gone round, as near to those of an end as the same point
+    has them: domains with ends are not periodic."""
+    own = found.location[2 : 2 + contour.dimension]
+    point = contour.point(own.tolist(), t) if found.charts[1] == 0 else None
+    for a in range(contour.dimension if point is not None else 0):
+        back = own.copy()
+        back[a] -= 2.0 * math.pi * round((own[a] - end[a]) / (2.0 * math.pi))
+        if back[a] != own[a] and np.linalg.norm(contour.point(back.tolist(), t) - point) < same:
+            own[a] = back[a]
 
 
 def _moved(system: Workspace, found: Candidate, guess: np.ndarray, t: float) -> float:
@@ -131,6 +154,11 @@ def _moved(system: Workspace, found: Candidate, guess: np.ndarray, t: float) -> 
         point = contour.point(found.location[own], t, found.charts[side])
         way += float(np.linalg.norm(point - contour.point(guess[own], t)))
     return way
+
+
+def on_side(found: list[Candidate], side: int) -> list[Candidate]:
+    """Those of candidates that are on a side, or may be, 0 for any; all where none is."""
+    return [one for one in found if side == 0 or one.side in (0, side)] or found
 
 
 def stationary_points(
@@ -164,20 +192,6 @@ def comes_back(system: Workspace, found: Candidate) -> bool:
     return within
 
 
-def side_of_pieces(system: Workspace, t: float) -> int:
-    """On which side of e_3 body 1 is, seen from where body 2 is nearest to it within both domains, by samples; 0 where
-    it is on neither."""
-    contact = system.contacts[0]
-    bodies = contact.body1, contact.body2
-    poses = [pose_of(system.data, body, t) for body in bodies]
-    window = float(np.linalg.norm(poses[0].translation - poses[1].translation)) + _LEAST_WINDOW
-    window += _WINDOW * sum(body.contour.size for body in bodies if math.isfinite(body.contour.size))
-    first, second = (_sample(body.contour, pose, t, window, np.full(2, np.nan)) for body, pose in zip(bodies, poses))
-    distances, indices = scipy.spatial.cKDTree(second[1]).query(first[1])
-    i = int(np.argmin(distances))
-    return int(np.sign(second[2][indices[i]] @ (first[1][i] - second[1][indices[i]])))
-
-
 def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
     """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
     contact = system.contacts[0]
@@ -185,8 +199,8 @@ def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
     window = distance + _WINDOW * sum(sizes) + _LEAST_WINDOW
-    first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
-    second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
+    first = sample(contact.body1.contour, poses[0], t, window, guess[:2])
+    second = sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
     tree = scipy.spatial.cKDTree(second[1])
     neighbours = min(_NEIGHBOURS, tree.n)
@@ -240,10 +254,11 @@ def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, f
     return ends[0], ends[1], int(min(count, _MOST_SAMPLES - 1)) + 1
 
 
-def _sample(
-    contour: Contour, pose: pin.SE3, t: float, window: float, guess: np.ndarray
+def sample(
+    contour: Contour, pose: pin.SE3, t: float, window: float, guess: Sequence[float] | np.ndarray = _UNKNOWN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Parameters (n, 2), world points (n, 3), unit normals (n, 3) and unit tangents [(n, 3)] of a contour."""
+    """Parameters (n, 2), world points (n, 3), unit normals (n, 3) and unit tangents [(n, 3)] of a contour, of lengths
+    within a window in m. guess: parameters, NaN where unknown."""
     axes = []
     counts = (_CURVE_SAMPLES,) if contour.dimension == 1 else _SURFACE_SAMPLES
     for a in range(contour.dimension):
@@ -254,7 +269,7 @@ def _sample(
         count = counts[a]
         # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
         if contour.lengths and math.isinf(contour.periods[a]):
-            low, high = max(low, -window), min(high, window)
+            low, high = max(low, min(-window, high)), min(high, max(window, low))
         elif not math.isfinite(high - low):
             low, high, wanted = _within(contour, a, t, window)
             count = max(count, wanted) if contour.dimension == 1 else count

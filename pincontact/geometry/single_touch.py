@@ -80,7 +80,7 @@ def _side_of(system: Workspace, c: int, side: int) -> int:
     one, two = 2 * c + side, 2 * c + 1 - side
     frames, derivatives = system.frames, system.derivatives
     own = (system.contacts[c].body1, system.contacts[c].body2)[side].contour
-    middle = frames[one, :3] @ _samples(own)[:, 0].mean(axis=0) + frames[one, ORIGIN]
+    middle = frames[one, :3] @ middle_of(own) + frames[one, ORIGIN]
     across = derivatives[two, 2] if system.contact_int[c, PATTERN] != PLANAR else frames[two, :3, 2]
     normal = np.cross(derivatives[two, 1], across)
     return 1 if normal @ (middle - frames[two, ORIGIN] - derivatives[two, 0]) > 0.0 else -1
@@ -90,6 +90,8 @@ def _side_of(system: Workspace, c: int, side: int) -> int:
 def _samples(contour: Contour) -> np.ndarray:
     """f and its derivatives (n, 10, 3) all over a contour: in each of its pieces, or at places that no period of its
     shape repeats."""
+    if contour.dimension == 0:
+        return np.zeros((1, 10, 3))
     count, steps = (_CURVE, _GOLDEN) if contour.dimension == 1 else (_SURFACE, _PLASTIC)
     if _is_piecewise(contour):
         of_piece = max(_OF_PIECE, math.ceil((count / _pieces(contour)) ** (1.0 / contour.dimension)))
@@ -99,6 +101,16 @@ def _samples(contour: Contour) -> np.ndarray:
     low, high = np.array([(max(low, -_WINDOW), min(high, _WINDOW)) for low, high in contour.domain]).T
     parts = np.mod((np.arange(count)[:, None] + 0.5) * steps, 1.0)
     return contour.evaluate_many(low + (high - low) * parts)
+
+
+def middle_of(contour: Contour) -> np.ndarray:
+    """(3,) a point in m of a bounded contour's convex hull, which is inside of a convex one, in its frame."""
+    return np.asarray(_samples(contour)[:, 0].mean(axis=0))
+
+
+def reach_of(contour: Contour) -> float:
+    """How far in m a bounded contour goes from its middle, as samples tell."""
+    return float(np.linalg.norm(_samples(contour)[:, 0] - middle_of(contour), axis=1).max())
 
 
 def _is_piecewise(contour: Contour) -> bool:

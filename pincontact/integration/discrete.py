@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import CHART, FROZEN, MODE, SIDE, SIDE_INTS
+from ..layout import BESIDE, CHART, MODE, SIDE, SIDE_INTS
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
 # mode, both charts, and the rest of what is kept of a contact's integers
-DISCRETE_COLUMNS = 3 + FROZEN - MODE
+DISCRETE_COLUMNS = 3 + BESIDE - MODE
 
 
 def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def discrete_views(
     return [
         (discrete[..., 0], contact_int[..., MODE]),
         (discrete[..., 1:3], charts),
-        (discrete[..., 3:], contact_int[..., SIDE : FROZEN + 1]),
+        (discrete[..., 3:], contact_int[..., SIDE : BESIDE + 1]),
     ]
 
 

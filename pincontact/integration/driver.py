@@ -295,20 +295,26 @@ class Driver:
             self._thrown = False
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
+        longest = float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t))
+        opened.watch_ends(t, longest)
+        self._follow_relocated(t)
         if not may_touch and task == INTEGRATE_ONE_STEP and self.transitions.stay_apart(t):
             opened.is_near = False
             return INTEGRATE_APART
-        longest, near = opened.begin_step(t, float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t)))
-        if opened.relocated:
-            # nearest points elsewhere: the same state, located there
-            opened.relocated.clear()
+        longest, near = opened.begin_step(t, longest)
+        self._follow_relocated(t)
+        scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
+        return INTEGRATE_ONE_ATTEMPT if near else task
+
+    def _follow_relocated(self, t: float) -> None:
+        """Where contacts are elsewhere, have the accepted state located there."""
+        if self.transitions.open.relocated:
+            self.transitions.open.relocated.clear()
             self.rk.load(self.system.state)
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
             self._finish(t)
             self.transitions.note_sides(False)
-        scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
-        return INTEGRATE_ONE_ATTEMPT if near else task
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""

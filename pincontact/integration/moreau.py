@@ -172,8 +172,8 @@ class MoreauStep:
         self._begin_anew()
         # into how many parts the present step is divided
         self.parts = 1
-        # whether steps have to stop for a look at open contacts
-        self._looks = self.open.watches()
+        # whether steps have to stop for a look at open contacts, from any start and from the present one
+        self._always_looks = self._looks = self.open.watches()
 
     def _begin_anew(self) -> None:
         system = self.system
@@ -225,6 +225,7 @@ class MoreauStep:
         # contact problems leave open what constraints that are next to redundant would turn into much more
         self.system.counters["redundant"] = 1
         closed = self.system.closed()
+        self._looks = self._always_looks or bool(self.open.at_ends())
         status = self._run(BEGIN, t)
         self.apart = apart(self.system, closed) if status == OK else {}
         return status
@@ -383,6 +384,10 @@ class MoreauStep:
         t = self._numbers["run_start"].item() + self.steps * size
         if not (self._looks and self.open.are_any(t)):
             return MANY_STEPS
+        self.open.watch_ends(t, size)
+        if self.open.relocated:
+            self.open.relocated.clear()
+            self._run(RELOCATE, t)
         behind = self.step_arrays.behind
         beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
         self.open.apart[:] = (behind[: self.system.nc] == 0) & ~beside

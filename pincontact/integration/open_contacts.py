@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from ..errors import SingularContactError
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import is_searched
 from ..geometry.patterns import CROSSING_CURVES
+from ..geometry.search import find_candidates, on_side
+from ..geometry.sides import Beside
 from ..geometry.single_touch import touches_once
 from ..layout import (
     BENDING,
+    BESIDE,
     BRANCH,
     CHART,
     CLOSED_FORM,
@@ -27,6 +31,7 @@ from ..layout import (
     NOTHING_THERE,
     PATTERN,
     SAME_PLACE,
+    SIDE,
     SPEEDING,
     UNILATERAL,
 )
@@ -63,7 +68,7 @@ class OpenContacts:
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     trouble, where: why `look` has found that steps cannot go on, and at which contact.
-    relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
+    relocated: contacts that were found to be nearest, or on a side, elsewhere; others take that down, and clear it.
     passed: contacts that came into a domain from behind in the last step, or whose gap fell through zero unseen.
     overlapping: contacts that came into a domain in the last step while their bodies overlapped.
     """
@@ -88,6 +93,10 @@ class OpenContacts:
         self.relocated: set[int] = set()
         self.is_near = False
         self._watched: list[Nearness] = []
+        # contacts that are beside ends, what is seen of those, and for how long in s that holds for all
+        self._ending: list[int] = []
+        self._hold = math.inf
+        self._beside: dict[int, Beside] = {}
         self._free: list[bool] | None = None if self._searched else [False] * system.nc
         self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
@@ -124,6 +133,62 @@ class OpenContacts:
         unilateral = self.system.contact_int[:, UNILATERAL]
         return [c for c, mode in enumerate(self.system.modes.tolist()) if mode == FREE and unilateral[c]]
 
+    def watch_ends(self, t: float, h: float) -> None:
+        """Have contacts that are beside ends, at the accepted state, which is evaluated, on the sides on which their
+        bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
+        beside until bodies are over each other, or have touched."""
+        integers = self.system.contact_int
+        self._ending, self._hold = self.at_ends(), math.inf
+        for c in self._ending:
+            holds = self._side_holds(c) if c in self._beside else 0.0
+            if holds < h:
+                beside = self._seen(c)
+                told, is_over = beside.look(t)
+                side = integers.item(c, SIDE)
+                turns = self.system.contacts[c].side is None and told * side < 0
+                if turns or beside.is_far():
+                    self._move(t, c, told if turns else side, beside.nearest)
+                integers[c, BESIDE] = not is_over
+                holds = self._side_holds(c)
+            self._hold = min(self._hold, holds)
+
+    def at_ends(self) -> list[int]:
+        """Contacts whose bodies have not been over each other yet."""
+        beside: list[int] = np.flatnonzero(self.system.contact_int[: self.system.nc, BESIDE]).tolist()
+        return beside
+
+    def _seen(self, c: int) -> Beside:
+        if c not in self._beside:
+            self._beside[c] = Beside(self.system, c)
+        return self._beside[c]
+
+    def _side_holds(self, c: int) -> float:
+        """For how long in s what was seen of contact c, which is beside an end, holds."""
+        beside, acceleration = self._beside[c], SAFETY * max(self._gravity, self.system.contact_real.item(c, SPEEDING))
+        return time_to_cover(beside.left(), beside.speed(), acceleration)
+
+    def _move(self, t: float, c: int, side: int, end: np.ndarray) -> None:
+        """Have contact c on this side, near a point (3,) in the world."""
+        system, single = self.system, self.system.alone(c)
+        turns = side != system.contact_int[c, SIDE]
+        system.contact_int[c, SIDE] = single.contact_int[0, SIDE] = side
+        single.q[:], single.v[:] = system.q, system.v
+        single.evaluate_kinematics(t)
+        try:
+            found = find_candidates(single, t, np.full(4, np.nan), end=end)
+        except SingularContactError:
+            found = []
+        if found:
+            place = on_side(found, side)[0]
+            self._put(c, (place.location, place.branch, place.determinant_sign, place.charts))
+        self.relocated.add(c)
+        if turns:
+            # what was known is of the side that was left
+            for i in (c, *of_same_contours(system, c)):
+                for is_open in (True, False):
+                    self._known.pop((i, is_open), None)
+            self._begin_watch(t, [mode == FREE for mode in system.modes.tolist()])
+
     # ---------------------------------------------------------------- steps
 
     def begin_step(self, t: float, h: float) -> tuple[float, bool]:
@@ -157,7 +222,7 @@ class OpenContacts:
                 if turning > 0.0 and known.whole is not None and known.whole.extent > 0.0:
                     limit = min(limit, max(_TURN / turning, free))
             longest = min(longest, limit)
-        longest, self._cut = min(longest, self._cut), math.inf
+        longest, self._cut = min(longest, self._hold, self._cut), math.inf
         self.is_near = near
         return longest, near
 
@@ -188,8 +253,8 @@ class OpenContacts:
         where one may go through what is there, or the last one did. touched: (nc,) which contacts touched in that."""
         if self._went_through(t, h, touched):
             return 0
-        steps = MANY_STEPS
         self.system.run(BOUND_SPEEDS)
+        steps = max(int(min(self._hold / h, MANY_STEPS)), 1)
         for known in self._watched:
             if math.isinf(known.near):
                 continue
@@ -341,7 +406,7 @@ class OpenContacts:
 
     def are_plain(self) -> bool:
         """Whether all that is watched is such that compiled steps can tell how long it stays apart."""
-        return all(known.is_plain and self.apart[known.c] for known in self._watched)
+        return all(known.is_plain and self.apart[known.c] for known in self._watched) and not self._ending
 
     def are_any(self, t: float) -> bool:
         """Whether anything is to be watched from the accepted state at t, which is evaluated. No error is controlled in
@@ -354,6 +419,8 @@ class OpenContacts:
     def _begin_watch(self, t: float, free: list[bool]) -> None:
         """Watch what there is where these contacts are open."""
         system, self._free, self.is_near = self.system, free, False
+        # what has touched is on the side on which it did, and over it
+        system.contact_int[: system.nc, BESIDE] &= free
         first, contacts = system.nq + system.nv, self._list()
         system.absolute[first : first + 4 * system.nc] = self._absolute[first : first + 4 * system.nc]
         for c in contacts:
@@ -375,6 +442,9 @@ class OpenContacts:
         have, or will have within h, is nearest; slack: by how much they may be, and it is yet to come, in m."""
         system, known = self.system, self._nearness(c, t)
         candidates, gap = known.find(t), float(system.gaps[c, 0])
+        if system.contact_int[c, BESIDE] != 0:
+            # what is farther than the end is not what bodies come to first
+            candidates = [found for found in candidates if found.gap < self._seen(c).distance]
         inside = [found for found in candidates if -entered < found.gap < 0.0]
         if inside:
             candidates = [min(inside, key=lambda each: each.gap)]

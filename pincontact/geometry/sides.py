@@ -1,0 +1,123 @@
+"""On which side of a contour that has ends a body is that has not come over it yet.
+
+What the contour would go on as says nothing of that; the contour itself does, where it is nearest to the body's middle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from ..contours import Contour
+from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE
+from ..workspace import Workspace
+from .carriers import OMEGA, ORIGIN, VELOCITY
+from .location import NO_CLOSED_FORM
+from .nearest import least_whole
+from .patterns import ON_SURFACE, PLANAR
+from .search import sample
+from .single_touch import middle_of, reach_of
+
+# Descents from the nearest sample to the nearest point: it is as near to it as rounding has it after a few, or almost.
+_DESCENTS = 30
+# A contact is nowhere near an end if it is so many times farther from it than the body: or on the other side of an arc.
+_FAR = 2.0
+
+
+class Beside:
+    """Body 1 of a contact of a system (`dynamics.system`), in any state, as seen from body 2.
+
+    nearest: (k2,) parameters of body 2's point that is nearest to the middle of body 1 at the last look; distance: how
+    far from it that is, in m.
+    """
+
+    def __init__(self, system: Workspace, c: int) -> None:
+        self.system, self.c = system, c
+        contact = system.contacts[c]
+        self.piece: Contour = contact.body2.contour
+        self._middle, self._reach = middle_of(contact.body1.contour), reach_of(contact.body1.contour)
+        self.nearest, self.distance = np.zeros(self.piece.dimension), 0.0
+        self._off = float(np.linalg.norm(self._middle))
+        # where the middle was at the last look, and how far it may go from there
+        self._place, self._way = np.zeros(3), 0.0
+
+    @staticmethod
+    def is_seen(system: Workspace, c: int) -> bool:
+        """Whether body 2 of contact c has ends beside which a smaller body 1 may be, or one that has none, and that
+        matters: its side is told, or it has to be followed."""
+        contact, integers = system.contacts[c], system.contact_int[c]
+        one, two = contact.body1.contour, contact.body2.contour
+        if integers[PATTERN] not in (PLANAR, ON_SURFACE):
+            return False
+        if integers[CLOSED_FORM] != NO_CLOSED_FORM and (integers[K1] == 0 or contact.side is not None):
+            return False
+        if not (np.isfinite(two.ends()).any() and np.isfinite(one.domain).all()):
+            return False
+        smaller = least_whole((one, two), 0.0)
+        return not np.isfinite(one.ends()).any() or (smaller is not None and smaller[0] == 0)
+
+    def place(self) -> np.ndarray:
+        """(3,) middle of body 1 in m in body 2's frame, as last evaluated."""
+        own, other = self.system.frames[2 * self.c], self.system.frames[2 * self.c + 1]
+        return np.asarray(other[:3].T @ (own[:3] @ self._middle + own[ORIGIN] - other[ORIGIN]))
+
+    def speed(self) -> float:
+        """Its speed there in m/s, at most."""
+        own, other = self.system.frames[2 * self.c : 2 * self.c + 2].tolist()
+        turning = math.hypot(*own[OMEGA]) * self._off
+        turning += math.hypot(*other[OMEGA]) * (math.dist(own[ORIGIN], other[ORIGIN]) + self._off)
+        return math.dist(own[VELOCITY], other[VELOCITY]) + turning
+
+    def left(self) -> float:
+        """How far in m the middle may go before body 1 may touch, or is on another side, for all that was seen."""
+        if self.piece.time_dependent:
+            return 0.0
+        return max(self._way - float(np.linalg.norm(self.place() - self._place)), 0.0)
+
+    def look(self, t: float) -> tuple[int, bool]:
+        """On which side of e_3 body 1 is at the last evaluation, +1 or -1, 0 where its middle is on neither, or it is a
+        point, and whether it is over body 2: the nearest point is at none of its ends."""
+        self._place, piece, numbers = self.place(), self.piece, self.system.contact_real[self.c]
+        u, values = _nearest_point(piece, self._place, t)
+        across = values[2] if piece.dimension == 2 else np.array([0.0, 0.0, 1.0])
+        normal, way = np.cross(values[1], across), self._place - values[0]
+        height, self.distance = float(normal @ way / np.linalg.norm(normal)), float(np.linalg.norm(way))
+        self.nearest, self._speeds = u, np.linalg.norm(values[1 : 1 + piece.dimension], axis=1)
+        # so little, in any case, that it cannot touch before the next look from another side
+        self._way = max(abs(height), self.distance - self._reach, float(numbers[OVERLAP]))
+        is_over = not any(u[a] in ends for a, ends in enumerate(piece.ends().reshape(2, 2)[: piece.dimension]))
+        is_on = abs(height) <= SAME_PLACE * numbers[LENGTH] or self.system.contact_int[self.c, K1] == 0
+        return 0 if is_on else int(np.sign(height)), is_over
+
+    def is_far(self) -> bool:
+        """Whether the contact is, at the last look, nowhere near where body 2 is nearest."""
+        if self.system.side_int[2 * self.c + 1, CHART] != 0:
+            return False
+        away = self.system.location[self.c, 2 : 2 + self.piece.dimension] - self.nearest
+        return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
+
+
+def _nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (k,) of a contour's nearest point to one (3,) in its frame, its ends included, and f and its
+    derivatives (10, 3) there: from the nearest sample down."""
+    k = contour.dimension
+    parameters, points, _, _ = sample(contour, pin.SE3.Identity(), t, 2.0 * float(np.linalg.norm(point)) + 1.0)
+    low, high = contour.ends().reshape(2, 2)[:k].T
+    # poles, which are no ends, are as near as samples are
+    low = np.where(np.isinf(low) & ~np.array(contour.periodic[:k]), parameters[:, :k].min(axis=0), low)
+    high = np.where(np.isinf(high) & ~np.array(contour.periodic[:k]), parameters[:, :k].max(axis=0), high)
+    u = np.clip(parameters[int(np.argmin(np.linalg.norm(points - point, axis=1)))][:k], low, high)
+    values, factor = contour.evaluate(u.tolist(), t), 1.0
+    for _ in range(_DESCENTS):
+        way = point - values[0]
+        new = np.clip(u + factor * np.linalg.lstsq(values[1 : 1 + k].T, way, rcond=None)[0], low, high)
+        if (new == u).all():
+            break
+        there = contour.evaluate(new.tolist(), t)
+        if np.linalg.norm(point - there[0]) < np.linalg.norm(way):
+            u, values = new, there
+        else:
+            factor *= 0.5
+    return u, values

@@ -99,8 +99,9 @@ def joint_event_functions(system):
                 value[SPEED_EVENT] = limit[JOINT_SIGN] * system.slip[i, 2]
         else:
             low, high, k = numbers[LOW_FORCE], numbers[HIGH_FORCE], limit[JOINT_V]
-            # as in free flight, where nothing presses joints onto their ends
-            slack = _ROUND_OFF * math.sqrt(system.mass[k, k]) * system.scalars.free_size
+            # as in free flight, where nothing presses joints onto their ends; L_kk, with M = L^T L, is the root of the
+            # inertia that the joint feels
+            slack = _ROUND_OFF * system.factor[k, k] * system.scalars.free_size
             if limit[JOINT_END] == 0:
                 slack = system.contact_real[i, LIMIT_SLACK] * (high - low)
             if limit[JOINT_END] <= 0:

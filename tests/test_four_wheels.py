@@ -48,7 +48,7 @@ def test_wheels_that_touch_do_not_stop_a_car(seed):
     to stop it on four wheels, which no motion ahead keeps down all, took all of the car's speed."""
     speed = 0.5
     ends = []
-    for rtol in (1e-6, 1e-8):
+    for rtol in (1e-5, 1e-6, 1e-8):
         scene, state = car(waves(seed), 0.3, 0.35, 0.8, speed)
         run = pc.simulate(scene, state, DURATION, rtol=rtol, atol=0.01 * rtol, energies=True)
         assert run.status == 0, run.message
@@ -57,7 +57,8 @@ def test_wheels_that_touch_do_not_stop_a_car(seed):
         assert energies.total[-1] > energies.total[0] - 1e-3
         ends.append(run.v[-1])
     # hops that are left out differ, and take next to nothing
-    np.testing.assert_allclose(ends[0][0], ends[1][0], atol=1e-6)
+    np.testing.assert_allclose(ends[1][0], ends[2][0], atol=1e-6)
+    np.testing.assert_allclose(ends[0][0], ends[2][0], atol=1e-5)
 
 
 def test_hops_end_only_where_that_takes_what_they_are_worth():

@@ -74,9 +74,12 @@ class LoadedCones:
         """Made when the first problem with loads is posed."""
         return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
-    def _pose(self, closed: list[int], held: list[int], ahead: float = math.inf) -> ContactProblem:
+    def _pose(
+        self, closed: list[int], held: list[int], ahead: float = math.inf, normals: bool = False
+    ) -> ContactProblem:
         """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does. ahead:
-        time in s in which friction is to end the slip velocities of what sticks, as in a time step of that size."""
+        time in s in which friction is to end the slip velocities of what sticks, as in a time step of that size;
+        normals: and loads the normal velocities, which are met otherwise."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         slides = integers[:, MODE] == SLIPPING
@@ -92,8 +95,8 @@ class LoadedCones:
             rates = system.rows[i, rows] @ free + system.bias[i, rows]
             if ahead < math.inf and not slides[i] and i not in at_ends:
                 stopped = relative_velocity(system, i, rows) / ahead
-                # normals are met
-                rates += np.where((np.array(rows) == 2) & (i < system.nc), 0.0, stopped)
+                met = (np.array(rows) == 2) & (i < system.nc) & (not normals)
+                rates += np.where(met, 0.0, stopped)
             return rates
 
         problem = ContactProblem(system, relative)

@@ -32,11 +32,13 @@ from ..layout import (
     MU,
     MU_STATIC,
     NO_FORCE,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     SLIP_RATE,
     SLIPPING,
     STICK,
+    TANGENTS,
     UNILATERAL,
 )
 from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_normal, shares_viscous_force
@@ -45,6 +47,7 @@ from .mode_loads import LoadedCones
 from .passing_slip import PassingSlip
 from .redistribution import AT_ZERO
 from .single_mode_changes import ROUND_OFF, SingleModeChanges
+from .units import relative_velocity, whiten
 
 if TYPE_CHECKING:
     from .system import System
@@ -54,6 +57,12 @@ __all__ = ["Decision", "ModeSolver", "rest_mode", "shares_viscous_force"]
 
 # Relative accelerations below this fraction of the free ones are round-off: no slip; or below so many residuals.
 _STILL, _KNOWN = 1e-13, 10.0
+# Slip that is this part of what slip to come is in a short time has its direction by both, not by the latter alone.
+_SHOWS = 1e-3
+# What is left of slips may take so many times as long as friction takes to end it.
+_TO_STOP = 2.0
+# Forces that are outside their bounds by this part of the largest one are none.
+_CLEARLY = 1e-3
 # So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
 _ROUNDS = 4
 
@@ -76,13 +85,15 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         evaluate: Callable[[float], int],
         beyond: int | None = None,
         status: int | None = None,
+        ahead: float = math.inf,
     ) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
         All contacts stay as they are otherwise, except that a unilateral one whose normal force would pull opens. Held
         joint coordinates are undecided, too. Redundant forces are chosen anew.
         evaluate(t): evaluates the system at its (q, v). beyond: a contact whose static limit has been reached.
-        status: that of the last evaluation, if it was one at the state with all undecided ones sticking.
+        status: that of the last evaluation, if it was one at the state with all undecided ones sticking. ahead: see
+        `_pose`.
         """
         system = self.system
         integers = system.contact_int
@@ -118,15 +129,40 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
         modes, limits = integers.copy(), system.joint_int.copy()
-        decision = self._solve(t, evaluate, passing)
+        if ahead < math.inf:
+            ahead = max(ahead, _TO_STOP * max(map(self._time_to_stop, undecided), default=0.0))
+        decision = self._solve(t, evaluate, passing, ahead)
+        if ahead < math.inf and self._is_contradicted(decision):
+            # what is left of slips, which are known no better, decides nothing then
+            integers[:], system.joint_int[:] = modes, limits
+            evaluate(t)
+            decision = self._solve(t, evaluate, passing)
         if passing and decision.status > EVENT:
             # friction may turn round what holds beside others what no rolling motion allows: wheels on one axle
             integers[:], system.joint_int[:] = modes, limits
             integers[list(passing), MODE], integers[list(passing), FROZEN] = STICK, 0
             evaluate(t)
-            decision = self._solve(t, evaluate, {})
+            decision = self._solve(t, evaluate, {}, ahead)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
+
+    def _time_to_stop(self, i: int) -> float:
+        """Time in s in which the friction of the last evaluation's load ends what is left of the slip of contact i, by
+        itself; 0 where it has no load."""
+        system = self.system
+        speed, load = self._slip_speed(i), float(system.force[system.owner(i), 2])
+        rows = [whiten(system, system.rows[i, row]) for row in range(int(system.contact_int[i, TANGENTS]))]
+        rate = self._limits[i] * load * min((float(row @ row) for row in rows), default=0.0)
+        return speed / rate if load > 0.0 and rate > 0.0 else 0.0
+
+    def _is_contradicted(self, decision: Decision) -> bool:
+        """Whether there are no forces in decided modes, or some that are clearly outside their bounds."""
+        system = self.system
+        if decision.status > EVENT:
+            return True
+        least = -_CLEARLY * float(np.abs(system.force).max(initial=0.0))
+        items = [*system.closed(), *system.resisting()]
+        return bool((system.event_functions[items][:, [NORMAL_EVENT, FRICTION_EVENT]] < least).any())
 
     def _let_joints_go(self, t: float, evaluate: Callable[[float], int]) -> int:
         """Let held joint coordinates go, one after the other, whose forces exceed their bounds; the status, if no
@@ -152,7 +188,9 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return NO_FORCE
 
-    def _solve(self, t: float, evaluate: Callable[[float], int], passing: dict[int, float]) -> Decision:
+    def _solve(
+        self, t: float, evaluate: Callable[[float], int], passing: dict[int, float], ahead: float = math.inf
+    ) -> Decision:
         """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
         Where parts of several are too many, as at one edge of a body, one of them may keep the others open. Where that
         does not do, either, all opens, and touches again."""
@@ -167,7 +205,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             dragging = [c for c in system.closed() if drags(system, c)]
             sharing = [c for c in dragging if shares_viscous_force(system, c)]
             still_apart = [c for c in apart if integers[c, MODE] == FREE]
-            decision = self._solve_contacts(t, evaluate)
+            decision = self._solve_contacts(t, evaluate, ahead)
             decision.opened += still_apart
             dragging += still_apart
             closing, full = self._contradicted(t, dragging, sharing, decision, evaluate) if shares else ([], [])
@@ -218,22 +256,25 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
 
         Rows that have depended on each other may become independent, and the velocity does not meet them: by slip much
         slower than it is known, which to end would take any part of the velocity, and so forces without bound. Friction
-        has bounds: that slip goes on, against all of it, as with compliances, however stiff.
+        has bounds: that slip goes on, against all of it, as with compliances, however stiff. So do loads, which only
+        push: what they cannot keep closed opens.
         """
         self._take_reference(None)
         self._limits = self.system.contact_real[:, MU_STATIC].copy()
-        return self._solve_contacts(t, evaluate, ahead)
+        return self._solve_contacts(t, evaluate, ahead, True)
 
-    def _solve_contacts(self, t: float, evaluate: Callable[[float], int], ahead: float = math.inf) -> Decision:
-        """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances; ahead:
-        see `_pose`."""
+    def _solve_contacts(
+        self, t: float, evaluate: Callable[[float], int], ahead: float = math.inf, normals: bool = False
+    ) -> Decision:
+        """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances; ahead,
+        normals: see `_pose`."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         closed, held = system.closed(), system.held()
         items = [*closed, *system.resisting()]
         decision = Decision(OK, solved=True)
         while True:
-            solution = self._solve_posed(self._pose(closed, held, ahead), held)
+            solution = self._solve_posed(self._pose(closed, held, ahead, normals), held)
             if solution is None:
                 decision.status = NO_FORCE
                 return decision
@@ -265,8 +306,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             slowest = still if load > idle else AT_ZERO * solution.largest
             # among redundant contacts one may be at its limit of friction without sliding
             if integers[i, MODE] == STICK and kinds[i] != cone.STICK and rate > slowest:
+                goes_on = ahead < math.inf and self._slip_speed(i) > _SHOWS * ahead * rate
                 freeze_slip(system, i, velocities[i, :2])
-                decision.started[i] = rate
+                if not goes_on:
+                    decision.started[i] = rate
         for g in held:
             item, end = system.nc + g, int(system.joint_int[g, JOINT_END])
             rate = velocities[item, 2]
@@ -281,6 +324,11 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         if not (self.redistribute(t, evaluate) and self._begins(t, decision, evaluate)):
             self._keep_solution(t, solution.forces, evaluate)
         return decision
+
+    def _slip_speed(self, i: int) -> float:
+        """How fast item i slips, in m/s."""
+        rows = [*range(int(self.system.contact_int[i, TANGENTS]))]
+        return math.hypot(*relative_velocity(self.system, i, rows).tolist())
 
     def _begins(self, t: float, decision: Decision, evaluate: Callable[[float], int]) -> bool:
         """Whether what begins to slip does so under the loads of the last evaluation, too, which may turn it."""

@@ -40,6 +40,9 @@ REST = 1e-9
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 # That is so many times more, speeds twice as high, where rebounds lower than that accuracy do not get lower.
 _COARSER = 4.0
+# Rebounds that are resolved so many times less far have not got lower several times in a row; those slower than this
+# part of the velocity leave a motion, which they may change, in the end by any amount.
+_LASTING, _SLOW_HOPS = 1e2, 1e-2
 # What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
 # motions keep their symmetries up to round-off, whatever their error.
 _AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
@@ -75,13 +78,15 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy
     system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.full(system.items, math.inf)
+    system.lasting_hops = np.zeros(system.items, dtype=bool)
 
 
 def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
     """Item i comes back from a rebound at this speed, in m/s or rad/s. low: from no higher than gaps are known.
 
     Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
-    low rebounds that do not get lower are resolved less and less far.
+    low rebounds that do not get lower are resolved less and less far. Runs tell of those beside a motion,
+    `lasting_hops`.
     """
     if not low:
         # what strikes from high throws off what is at rest: rebounds of their own, unlike those of stops that rattle
@@ -89,6 +94,9 @@ def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
         system.lowest_hops[begun], system.hop_speeds[begun] = system.finest_hops[begun], math.inf
     elif speed >= system.hop_speeds[i]:
         system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
+        lasts = system.lowest_hops[i] > _LASTING * system.finest_hops[i]
+        # what drives them, and what they change, is a motion
+        system.lasting_hops[i] |= lasts and speed < _SLOW_HOPS * max(map(abs, system.v.tolist()))
     system.hop_speeds[i] = speed
 
 

@@ -32,8 +32,9 @@ from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output
 from .reports import left_behind, told
-from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
+from .results import FINISHED, LASTING_HOPS, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
+from .slip_at_ends import ACCURATE
 from .slip_steps import PATIENCE, STABLE, SlipSteps
 from .steps import (
     AT_FLOOR,
@@ -125,6 +126,8 @@ class Driver:
         except Stop as stop:
             return stop.code, told(self.system, stop) + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
+        hops = [self.transitions.reports.names[i] for i in np.flatnonzero(self.system.lasting_hops[: self.system.nc])]
+        said += f"; {', '.join(map(repr, hops))} {LASTING_HOPS}; smaller tolerances follow them" if hops else ""
         said += self._left_behind(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
 
@@ -246,7 +249,10 @@ class Driver:
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
         onset, left = self.transitions.onset, self._end - t
-        onset.longest, onset.left = min(0.5 * step, 0.5 * left, self._max_step), left if left > 0.0 else math.inf
+        # in less time than that no slip shows, however short slow slip beside makes steps
+        stiff = float(self.system.scalars["turning_rate"]) * step > ACCURATE
+        longest = max(0.5 * step, self.transitions.changes.ahead if stiff else 0.0)
+        onset.longest, onset.left = min(longest, 0.5 * left, self._max_step), left if left > 0.0 else math.inf
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""
@@ -331,7 +337,7 @@ class Driver:
             h = min(h, STABLE / float(scalars["turning_rate"]))
         scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
-        counters["stalled"] = 0
+        counters["stalled"], counters["patience"] = 0, PATIENCE
         if scalars["turning_rate"] * self._age > PATIENCE * STABLE:
             # friction turns slip that has just begun much faster than it grows
             counters["stiff_steps"] = counters["patience"]

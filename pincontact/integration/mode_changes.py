@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+import pinocchio as pin
 
 from ..dynamics.contact_modes import set_normal
 from ..dynamics.energy import energies_at
@@ -44,6 +45,8 @@ _JUMP = 1e-6
 _AT_LIMIT = 1e-6
 # Bodies that would come together, without forces, by less than this part of what accelerates them need none.
 _NOTHING = 1e-7
+# How far, in m and rad, a motion is looked ahead for constraints that become independent.
+_AHEAD = 1e-4
 
 
 class ModeChanges:
@@ -94,10 +97,13 @@ class ModeChanges:
                 undecided.append(c)
         return undecided
 
-    def resolve_modes(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
-        """Decide modes; the last evaluation is the one in them. Slips that leave no forces and may be stopped are."""
+    def resolve_modes(
+        self, t: float, undecided: list[int], beyond: int | None = None, ahead: float = math.inf
+    ) -> Decision:
+        """Decide modes, see `ModeSolver.resolve_modes`; the last evaluation is the one in them. Slips that leave no
+        forces and may be stopped are."""
         modes, limits = self.system.contact_int.copy(), self.system.joint_int.copy()
-        decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond)
+        decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond, ahead=ahead)
         if decision.status == NO_FORCE:
             self.system.contact_int[:], self.system.joint_int[:] = modes, limits
             sliding = may_stop(self.system)
@@ -129,14 +135,16 @@ class ModeChanges:
         at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
         self._hold(ending)
         before, signs = system.contact_int[:, MODE].tolist(), system.contact_int[:, SLIP_SIGN].tolist()
-        self.resolve_modes(t, undecided, beyond)
+        # what is left of slips that have ended goes on where friction does not end it at once
+        ahead = self.ahead if at_rest else math.inf
+        self.resolve_modes(t, undecided, beyond, ahead)
         self._settle(t, explained)
         # what comes to rest may hold more
         stopped = self._stopped(t, before) if at_rest else []
         if stopped:
             self._hold(stopped)
             at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
-            self.resolve_modes(t, self.sticking(), beyond)
+            self.resolve_modes(t, self.sticking(), beyond, ahead)
             self._settle(t, explained)
         self.rk.accept()
         after = system.contact_int[:, MODE].tolist()
@@ -340,8 +348,9 @@ class ModeChanges:
 
     # ---------------------------------------------------------------- the state
 
-    def project(self, t: float, evaluated: bool = False, explained: bool = False) -> None:
-        """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
+    def project(self, t: float, evaluated: bool = False, explained: bool = False, stepped: bool = False) -> None:
+        """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity;
+        stepped: by no more than errors of steps."""
         before = None if explained else self.system.v.copy()
         if not self.rk.project(t, evaluated):
             if self.rk.evaluate(t) == NO_FORCE:
@@ -350,7 +359,7 @@ class ModeChanges:
         if before is None:
             return
         taken, speed, allowed = self.modes.taken_from(before)
-        if taken > allowed:
+        if taken > (self.modes.explained(speed) if stepped else allowed):
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "
@@ -390,6 +399,39 @@ class ModeChanges:
         self.rk.load(state)
         self.rk.evaluate(t)
         return False
+
+    def look_ahead(self, t: float) -> list[int]:
+        """The closed contacts that open as soon as the accepted state has moved, however little: those of redundant
+        ones that are kept closed by no forces within bounds once their constraints are independent.
+
+        Feet under upright legs, say, hold a body together, up to round-off, until it has moved enough for their
+        constraints to show as the independent ones that they are at once. Which of them leave then does not depend on
+        when it shows: they leave before.
+        """
+        system, rk, modes = self.system, self.rk, self.modes
+        if not self._is_redundant() or rk.evaluate_start(t) > EVENT:
+            return []
+        speed, rate = float(np.abs(system.v).max()), float(np.abs(system.acceleration).max())
+        if not max(speed, rate) > 0.0:
+            return []
+        # half an `_AHEAD` each from both
+        h = 2.0 * _AHEAD / (speed + math.sqrt(speed * speed + 2.0 * rate * _AHEAD))
+        integers, limits, numbers = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
+        forces, rank = modes.reference(), int(system.counters["row_rank"])
+        v, change = system.v.copy(), h * system.acceleration
+        moved = pin.integrate(system.model, system.q, h * (v + 0.5 * change))
+        system.put_state(system.stage_state, moved, 0.0, system.location[: system.nc])
+        rk.load(system.stage_state)
+        system.v[:] = v + change
+        status, opened = rk.evaluate(t), []
+        if (status <= EVENT or status == NO_FORCE) and int(system.counters["row_rank"]) > rank:
+            decision = modes.let_slide(t, rk.evaluate, h)
+            opened = decision.opened if decision.status <= EVENT else []
+        system.contact_int[:], system.joint_int[:], system.contact_real[:] = integers, limits, numbers
+        modes.take_back(forces)
+        rk.load(system.state)
+        rk.evaluate_start(t)
+        return opened
 
     def evaluate_accepted(self, t: float) -> None:
         """Load the accepted state and evaluate it in the present modes."""

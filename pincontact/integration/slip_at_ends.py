@@ -53,8 +53,8 @@ _ESCAPE = 2.0
 # Speed in m/s that counts as ended whatever the tolerances.
 _SMALLEST_STOP_SPEED = 1e-13
 # Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
-# pairs' limits are 2.5, 3.3 and 6.4.
-_STIFF = 2.0
+# pairs' limits are 2.5, 3.3 and 6.4. Between, down to the second, steps are now the one and now the other.
+STIFF, ACCURATE = 2.0, 0.5
 
 
 @separate_kernel(NOTHING, SYSTEM.type)
@@ -187,8 +187,11 @@ def begin_next(system):
     for c in range(n):
         for i in range(3):
             contact_real[c, LAST_NORMAL_X + i] = contact_real[c, NEXT_NORMAL_X + i]
-    stiff = scalars.turning_rate * scalars.step > _STIFF
-    counters.stiff_steps = counters.stiff_steps + 1 if stiff else 0
+    turned = scalars.turning_rate * scalars.step
+    if turned > STIFF:
+        counters.stiff_steps += 1
+    elif turned < ACCURATE:
+        counters.stiff_steps = 0
     watch_slips(system, n, True)
 
 
@@ -214,7 +217,7 @@ def watch_slips(system, n, accepted):
     if accepted and slowest < _PROGRESS * scalars.slowest:
         scalars.slowest = slowest
         counters.stalled = min(counters.stalled, 0)
-    elif near and scalars.turning_rate * scalars.step <= _STIFF:
+    elif near and scalars.turning_rate * scalars.step <= STIFF:
         counters.stalled = doubled(counters.stalled)
 
 

@@ -48,6 +48,7 @@ from .accuracy import gap_rate, held_up, rest_speed
 from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
+from .slip_at_ends import STIFF
 from .slow_slip import SHORTER, SlowSlip
 from .steps import FAILED_FACTOR, FIND_EARLIEST
 
@@ -133,7 +134,7 @@ class SlipOnset:
                 return self._end(t, took, system.new_state)
             system.contact_real[frozen, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
             self.rk.evaluate_start(t)
-        tau = self._trial_step(t, tau)
+        tau, _ = self._step_beside(t, tau)
         return self._end(t, tau, system.new_state)
 
     def _goes_on(self, t: float, frozen: list[int], tau: float) -> bool:
@@ -248,13 +249,13 @@ class SlipOnset:
         return bool(mu == holds < math.inf and self.system.contact_int.item(c, TANGENTS) == 2)
 
     def _shows(self, t: float, items: list[int]) -> bool:
-        """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with: no
-        slower than what counts as rest, or, where the next event is at hand, than round-off leaves a direction."""
+        """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with, no
+        slower than round-off leaves one."""
         system = self.system
         self.rk.load(system.new_state)
         if self.rk.evaluate(t) > EVENT:
             return False
-        slowest = rest_speed(system) if self.pending is None else _ROUND_OFF * (1.0 + np.abs(system.v).max())
+        slowest = _ROUND_OFF * (1.0 + np.abs(system.v).max())
         return bool(system.contact_real[items, SLIP_SPEED].min() > slowest)
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
@@ -289,9 +290,10 @@ class SlipOnset:
         if modes is not None:
             system.contact_int[:] = modes
             changes.evaluate_accepted(t)
-        tau = self._trial_step(t, tau)
+        tau, beside = self._step_beside(t, tau)
+        system.contact_int[beside, FROZEN] = 0
         rk.load(system.new_state)
-        changes.project(t + tau)
+        changes.project(t + tau, stepped=True)
         stick = system.stage_state.copy()
         acceleration = system.acceleration.copy()
         decision = changes.resolve_modes(t + tau, changes.sticking(), c)
@@ -347,14 +349,28 @@ class SlipOnset:
     def _follow(self, t: float, powers: dict[int, int], span: float, shortest: float) -> float | None:
         """A step with prescribed directions of slip, and of what slides already; see `SlowSlip`."""
         system, self.pending, self._foreseen = self.system, None, (math.nan, 0, 0)
-        beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
-        for c in beside:
-            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
+        beside = self._prescribe_beside()
         took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0) | powers, self._until_event).follow(span, shortest)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
             took = SlowSlip(self.rk, t, powers, self._until_event).follow(span, shortest)
         return took
+
+    def _prescribe_beside(self) -> list[int]:
+        """Prescribe the directions that v_c shows to what slides already beside what begins to; which that is."""
+        system = self.system
+        beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
+        for c in beside:
+            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
+        return beside
+
+    def _step_beside(self, t: float, tau: float) -> tuple[float, list[int]]:
+        """`_trial_step`, and the items whose slip beside friction turns too fast for it, and which are followed."""
+        if not float(self.system.scalars["turning_rate"]) * tau > STIFF:
+            return self._trial_step(t, tau), []
+        beside = self._prescribe_beside()
+        took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0), lambda *_: 1.0).follow(tau, _SHORTEST_START * tau)
+        return self._trial_step(t, tau) if took is None else took, beside
 
     def _turning(self) -> list[int]:
         """What slides in a direction that it may change."""

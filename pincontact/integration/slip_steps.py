@@ -100,7 +100,7 @@ class SlipSteps:
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
         stopped = system.state + left * system.slopes[0]
-        worth = self._worth(t, left, contacts, stopped) if system.counters["stalled"] == 0 else 0.0
+        worth = self._worth(t, left, contacts, stopped) / further if further >= 1.0 else 0.0
         if worth > _WORTH:
             system.counters["stalled"] = -min(math.ceil(math.log2(worth)), _HALVINGS)
             return t, False

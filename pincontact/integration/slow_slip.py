@@ -10,6 +10,7 @@ component across it (collocation).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -145,7 +146,7 @@ class SlowSlip:
             turned = float(np.abs(coefficients).max())
             coefficients[:] = start
             return max(_SMALLEST_PART, SHORTER / max(turned, 1.0))
-        part = self._until_end(found[1], tolerance, grown)
+        part = self._until_end(found[1], tolerance)
         if part < 1.0:
             return part
         # the last trial step has left the state at the end of the span in new_state
@@ -157,20 +158,23 @@ class SlowSlip:
         return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
 
     def _grown(self, tolerance: float) -> np.ndarray:
-        """(contacts,) whether slips grow from rest, or from no more than the tolerance."""
+        """(contacts,) whether slips grow from rest, or are that slow that the tolerance leaves them no direction."""
+        slowest = tolerance / _ALIGNED
         speeds = self.rk.system.contact_real[self.contacts, START_SPEED].tolist()
-        return np.array([power > 0 or not speed > tolerance for power, speed in zip(self.powers.values(), speeds)])
+        return np.array([power > 0 or not speed > slowest for power, speed in zip(self.powers.values(), speeds)])
 
-    def _until_end(self, along: np.ndarray, tolerance: float, grown: np.ndarray) -> float:
+    def _until_end(self, along: np.ndarray, tolerance: float) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
-        faster than the tolerance, the others have to grow. 1 where that is all of it."""
+        faster than the tolerance, or than a part of what they are; the others have to grow. 1 where that is all of it.
+        """
         part = 1.0
         for m, speeds in enumerate(along.tolist()):
-            if grown[m]:
+            start = self.rk.system.contact_real.item(self.contacts[m], START_SPEED)
+            if self.powers[self.contacts[m]] > 0 or not 0.0 < start < math.inf:
                 part = part if min(speeds) > 0.0 else min(part, SHORTER)
                 continue
-            start = self.rk.system.contact_real.item(self.contacts[m], START_SPEED)
-            left = [speed - tolerance for speed in (start, *speeds)]
+            least = min(tolerance, _ALIGNED * start)
+            left = [speed - least for speed in (start, *speeds)]
             before = 0
             for after in _IN_ORDER:
                 if left[after] <= 0.0:

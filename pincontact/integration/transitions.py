@@ -105,11 +105,28 @@ class Transitions:
         if max(map(abs, map(sub, system.state.tolist(), start)), default=0.0) > _MOVED:
             # it was not on its constraints, where the modes were decided
             changes.evaluate_accepted(t)
+        self._open_ahead(t)
         self.joints.begin()
         if FREE in system.modes.tolist():
             if not self.penetration.begin(t, self.onset.seed):
                 raise self.reports.failure(t, NO_FORCE)
             self.open.begin(self.penetration.slack)
+
+    def _open_ahead(self, t: float) -> None:
+        """Open the contacts of the accepted state that open as soon as it has moved."""
+        changes, integers, limits = self.changes, self.system.contact_int.copy(), self.system.joint_int.copy()
+        opened = changes.look_ahead(t)
+        if not opened:
+            return
+        self.system.contact_int[opened, MODE] = FREE
+        try:
+            changes.update_modes(t, changes.sticking())
+        except Stop:
+            self.system.contact_int[:], self.system.joint_int[:] = integers, limits
+            changes.evaluate_accepted(t)
+            return
+        for c in opened:
+            self.reports.announce(t, c, "separate")
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
@@ -129,6 +146,7 @@ class Transitions:
         changes.update_modes(t, undecided)
         changes.count_loss(energy)
         rk.accept()
+        self._open_ahead(t)
         struck = self.strike(t)
         return self.onset.start(t) if struck is None else struck
 
@@ -356,13 +374,16 @@ class Transitions:
         """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.
 
         What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound.
-        Friction has a bound: what it holds gives way, which changes the velocity next to nothing. Where that will not
-        do `failure` is raised.
+        Friction has a bound, and loads only push: what they hold gives way, which changes the velocity next to nothing.
+        Where that will not do `failure` is raised.
         """
         changes, modes = self.changes, self.system.contact_int[:, MODE].copy()
         if not changes.let_slide(t):
             raise failure
-        for c in np.flatnonzero((modes == STICK) & (self.system.contact_int[:, MODE] == SLIPPING)).tolist():
+        after, contacts = self.system.contact_int[:, MODE], np.arange(self.system.items) < self.system.nc
+        for c in np.flatnonzero((modes != FREE) & (after == FREE) & contacts).tolist():
+            self.reports.announce(t, c, "separate")
+        for c in np.flatnonzero((modes == STICK) & (after == SLIPPING)).tolist():
             self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
         self.rk.accept()

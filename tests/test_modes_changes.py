@@ -83,6 +83,10 @@ class Items:
         System.closed, System.held, System.resisting, System.owner, System.modes,
     )  # fmt: skip
 
+    @property
+    def mass(self):
+        return self.factor.T @ self.factor
+
     def __init__(self, nc, ng=0, nr=0, nv=6, seed=0):
         rng = np.random.default_rng(seed)
         self.nc, self.ng, self.nr, self.nv = nc, ng, nr, nv

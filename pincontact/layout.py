@@ -52,7 +52,7 @@ COUNTERS = record(
     "evaluation_count",
     "step_count",
     "rejected_count",
-    "attempt_limit",
+    "trial_limit",
     "stalled",
     "alarm",
     "failure",

@@ -99,8 +99,8 @@ def test_hops_that_do_not_get_lower_are_told():
     scene, state = random_cart(5)
     loose, tight = (pc.simulate(scene, state, 0.02, rtol=rtol, atol=0.01 * rtol) for rtol in (1e-8, 1e-10))
     assert loose.status == tight.status == 0
-    assert "'left', 'right' hop on" in loose.message
-    assert "hop on" not in tight.message
+    assert "'left', 'right' bounce on" in loose.message
+    assert "bounce on" not in tight.message
     # hops that last, and not as an error of tolerances
     assert len(tight.events) > 5 * len(loose.events)
 

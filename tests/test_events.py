@@ -379,7 +379,7 @@ def test_looks_find_what_evaluations_find():
     rk.begin_at(state.q, state.v, state.location)
     assert rk.evaluate_start(0.0) <= EVENT
     step = 0.03
-    assert rk.attempt(0.0, step) == OK
+    assert rk.try_step(0.0, step) == OK
     assert rk.interpolate(0.0, step)
     dense = Interpolant(rk.system)
     shares = [0.0, 0.1, 0.35, 0.8, 1.0]

@@ -279,7 +279,7 @@ class Steps:
         kept = [*range(k1), *range(2, 2 + k2)]
         rk.begin_at(state.q, state.v, state.location)
         assert rk.evaluate_start(START) <= EVENT
-        assert rk.attempt(START, h) <= EVENT
+        assert rk.try_step(START, h) <= EVENT
         rk.load(system.new_state)
         integrated = system.location[0, kept].copy()
         assert rk.evaluate(START + h) <= EVENT

@@ -11,7 +11,7 @@ from shared import one_body
 
 import pincontact as pc
 from pincontact.integration import sign_changes
-from pincontact.integration.crossings import find_crossings, find_valleys
+from pincontact.integration.crossings import find_crossings, find_minima
 from pincontact.integration.locator import EventLocator, fastest
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
@@ -329,7 +329,7 @@ def test_touches_on_dense_output(monkeypatch, rtol):
     height, g, kept = 0.2, 9.81, 0.6
     scene = particle(restitution=kept)
     state = scene.initial_state([0.0, 0.0, height], np.zeros(3), free=["c"])
-    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    refine, try_step = EventLocator.refine, RungeKutta.try_step
     taken, counting = [], []
 
     def counted_refine(locator, t, step, crossing):
@@ -338,13 +338,13 @@ def test_touches_on_dense_output(monkeypatch, rtol):
         taken.append(counting.pop())
         return result
 
-    def counted_attempt(rk, t, h):
+    def counted_trial(rk, t, h):
         if counting:
             counting[-1] += 1
-        return attempt(rk, t, h)
+        return try_step(rk, t, h)
 
     monkeypatch.setattr(EventLocator, "refine", counted_refine)
-    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    monkeypatch.setattr(RungeKutta, "try_step", counted_trial)
     run = pc.simulate(scene, state, 0.75, rtol=rtol, atol=1e-2 * rtol)
     times = [event.time for event in run.events if event.kind == "touch"]
     fall = math.sqrt(2.0 * height / g)
@@ -374,7 +374,7 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     same, where its gap is zero to round-off, at the time that shorter steps find."""
     scene, state = tumbling()
     exact = pc.simulate(scene, state, 1.0, rtol=1e-13, atol=1e-15).events[0]
-    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    refine, try_step = EventLocator.refine, RungeKutta.try_step
     attempts, moved, gaps, ends = [], [], [], []
 
     def counted_refine(locator, t, step, crossing):
@@ -384,16 +384,16 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
         moved.append(len(attempts) == 1 and result[0] != attempts[0])
         ends.append(locator.system.new_state.copy())
         # a true step of that size leads to where it is
-        attempt(locator.rk, t, result[0])
+        try_step(locator.rk, t, result[0])
         ends.append(locator.system.new_state.copy())
         return result
 
-    def counted_attempt(rk, t, h):
+    def counted_trial(rk, t, h):
         attempts.append(h)
-        return attempt(rk, t, h)
+        return try_step(rk, t, h)
 
     monkeypatch.setattr(EventLocator, "refine", counted_refine)
-    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    monkeypatch.setattr(RungeKutta, "try_step", counted_trial)
     event = pc.simulate(scene, state, 1.0, rtol=rtol, atol=1e-2 * rtol).events[0]
     assert event.kind == exact.kind == "touch"
     assert moved[0] and abs(gaps[0]) <= 1e-14
@@ -408,7 +408,7 @@ def test_dense_output_that_is_as_good_as_a_step(monkeypatch, method):
     """Where the error of the whole step is small its dense output is what is stepped to, and as near to the true step
     as steps are to be to the motion."""
     scene, state = tumbling(restitution=0.5)
-    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    refine, try_step = EventLocator.refine, RungeKutta.try_step
     seen, attempts = [], []
 
     def compared_refine(locator, t, step, crossing):
@@ -418,20 +418,20 @@ def test_dense_output_that_is_as_good_as_a_step(monkeypatch, method):
         none, reached = not attempts, system.new_state.copy()
         # what follows takes it for the step that led there
         assert attempts or system.scalars["step"] == result[0]
-        attempt(rk, t, result[0])
+        try_step(rk, t, result[0])
         counted = system.absolute > 0.0
         allowed = system.absolute + system.scale[0] * np.maximum(np.abs(system.state), np.abs(reached))
         off = ((system.new_state - reached) / np.where(counted, allowed, 1.0))[counted]
         seen.append((none, error, math.sqrt(float(off @ off) / off.size)))
-        attempt(rk, t, result[0])
+        try_step(rk, t, result[0])
         return result
 
-    def counted_attempt(rk, t, h):
+    def counted_trial(rk, t, h):
         attempts.append(h)
-        return attempt(rk, t, h)
+        return try_step(rk, t, h)
 
     monkeypatch.setattr(EventLocator, "refine", compared_refine)
-    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    monkeypatch.setattr(RungeKutta, "try_step", counted_trial)
     for rtol in (1e-6, 1e-9):
         for longest in (0.001, 0.01, 0.03, 0.1, math.inf):
             run = pc.simulate(scene, state, 1.2, rtol=rtol, atol=1e-2 * rtol, method=method, max_step=longest)
@@ -466,7 +466,7 @@ def test_what_samples_show(seed):
         valleys &= 1.5 * middle < 0.5 * higher
         for i, end in ((0, left), (-1, right)) if n > 2 else ():
             valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
-        assert found[: find_valleys(values, found)].tolist() == np.argwhere(valleys).tolist()
+        assert found[: find_minima(values, found)].tolist() == np.argwhere(valleys).tolist()
         assert n < 9 or (valleys.any() and crosses[:, :, [GAP_EVENT, SPEED_EVENT]].any())
 
 

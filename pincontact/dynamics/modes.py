@@ -116,7 +116,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
         may_hold = beyond is None and system.counters["lost_positivity"] == 0 and not in_vain
-        if may_hold and self._settles(status, t, evaluate):
+        if may_hold and self._lie_in_cones(status, t, evaluate):
             return Decision(status, passing)
         if may_hold:
             status = self._let_joints_go(t, evaluate)
@@ -177,7 +177,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         for _ in range(2 * len(system.held())):
             if not (self._hold_one(released) or self._release_one(released)):
                 # what is let go and goes nowhere is held: its friction is not all that it can be for good
-                if self._all_go(released) and self._settles(status, t, evaluate):
+                if self._all_go(released) and self._lie_in_cones(status, t, evaluate):
                     return status
                 break
             status = evaluate(t)

@@ -138,9 +138,9 @@ class RedundantForces:
         their cones."""
         self._load_all()
         self._take_reference(None)
-        return self._settles(evaluate(t), t, evaluate)
+        return self._lie_in_cones(evaluate(t), t, evaluate)
 
-    def _settles(self, status: int, t: float, evaluate: Callable[[float], int]) -> bool:
+    def _lie_in_cones(self, status: int, t: float, evaluate: Callable[[float], int]) -> bool:
         """Whether all forces of the last evaluation, of that status, lie inside their cones, or other ones among
         redundant forces do."""
         # without an event every force does

@@ -42,7 +42,7 @@ _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 _COARSER = 4.0
 # Rebounds that are resolved so many times less far have not got lower several times in a row; those slower than this
 # part of the velocity leave a motion, which they may change, in the end by any amount.
-_LASTING, _SLOW_HOPS = 1e2, 1e-2
+_LASTING, _SLOW_REBOUNDS = 1e2, 1e-2
 # What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
 # motions keep their symmetries up to round-off, whatever their error.
 _AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
@@ -76,28 +76,28 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     """
     lengths, resolved = sizes_of_gaps(system)
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
-    system.finest_hops = resolved * system.gap_accuracy
-    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.full(system.items, math.inf)
-    system.lasting_hops = np.zeros(system.items, dtype=bool)
+    system.lowest_resolved = resolved * system.gap_accuracy
+    system.lowest_rebounds, system.rebound_speeds = system.lowest_resolved.copy(), np.full(system.items, math.inf)
+    system.lasting_rebounds = np.zeros(system.items, dtype=bool)
 
 
-def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
+def count_rebound(system: RunSystem, i: int, speed: float, low: bool) -> None:
     """Item i comes back from a rebound at this speed, in m/s or rad/s. low: from no higher than gaps are known.
 
     Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
     low rebounds that do not get lower are resolved less and less far. Runs tell of those beside a motion,
-    `lasting_hops`.
+    `lasting_rebounds`.
     """
     if not low:
         # what strikes from high throws off what is at rest: rebounds of their own, unlike those of stops that rattle
         begun = slice(0, system.nc) if i < system.nc else slice(i, i + 1)
-        system.lowest_hops[begun], system.hop_speeds[begun] = system.finest_hops[begun], math.inf
-    elif speed >= system.hop_speeds[i]:
-        system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
-        lasts = system.lowest_hops[i] > _LASTING * system.finest_hops[i]
+        system.lowest_rebounds[begun], system.rebound_speeds[begun] = system.lowest_resolved[begun], math.inf
+    elif speed >= system.rebound_speeds[i]:
+        system.lowest_rebounds[i] = min(_COARSER * system.lowest_rebounds[i], system.gap_accuracy[i])
+        lasts = system.lowest_rebounds[i] > _LASTING * system.lowest_resolved[i]
         # what drives them, and what they change, is a motion
-        system.lasting_hops[i] |= lasts and speed < _SLOW_HOPS * max(map(abs, system.v.tolist()))
-    system.hop_speeds[i] = speed
+        system.lasting_rebounds[i] |= lasts and speed < _SLOW_REBOUNDS * max(map(abs, system.v.tolist()))
+    system.rebound_speeds[i] = speed
 
 
 def gap_resolution(system: RunSystem) -> np.ndarray:
@@ -105,7 +105,7 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 
     Gaps are computed from the configuration to round-off, however large its error is.
     """
-    return np.maximum(system.lowest_hops, _round_off(system))
+    return np.maximum(system.lowest_rebounds, _round_off(system))
 
 
 def gaps_at_once(system: RunSystem) -> np.ndarray:

@@ -27,9 +27,9 @@ from .sign_changes import ACCURACY, HUGE, LOOKS_FOR_ZERO, begin_bracket, narrow,
 from .stages import evaluate
 from .trial_steps import load_interpolated
 
-# What `scan_on` has met: a sign change; what may be a valley below zero; the end of the step, or of what can be
+# What `scan_on` has met: a sign change; what may be a minimum below zero; the end of the step, or of what can be
 # evaluated.
-CROSSES, DIPS, ENDS = 1, 2, 4
+CROSSES, MINIMUM, ENDS = 1, 2, 4
 # What `sought` may be of an event function instead of the share of the step at which its zero is known: nothing is
 # known; it is not sought; it is not sought either where others' zeros show that it is negative.
 UNKNOWN, NOT_SOUGHT, LEFT_OUT = 2.0, -1.0, -2.0
@@ -58,10 +58,10 @@ def turns_negative(before, after, first, kind, apart):
 
 
 @kernel
-def has_valley(left, middle, right, first, last):
+def has_minimum(left, middle, right, first, last):
     """Whether there may be a lowest point below zero between three samples, the first or the last ones of a step."""
     higher = max(left, right)
-    # a parabola's valley is no deeper than half the change between samples; infinite values compare
+    # a parabola's minimum is no deeper than half the change between samples; infinite values compare
     if 0.0 <= middle <= min(left, right) and middle < higher:
         return 1.5 * middle < 0.5 * higher
     # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
@@ -91,7 +91,7 @@ def find_crossings(samples, apart, found):
 
 
 @array_entry(_SAMPLES, _PLACES)
-def find_valleys(samples, found):
+def find_minima(samples, found):
     """The same for those that may have been below zero between three samples, of which the first one's place is
     found."""
     count, n = 0, samples.shape[0]
@@ -99,7 +99,7 @@ def find_valleys(samples, found):
         for c in range(samples.shape[1]):
             for kind in range(samples.shape[2]):
                 left, middle, right = samples[i, c, kind], samples[i + 1, c, kind], samples[i + 2, c, kind]
-                if has_valley(left, middle, right, i == 0, i == n - 3):
+                if has_minimum(left, middle, right, i == 0, i == n - 3):
                     found[count, 0], found[count, 1], found[count, 2] = i, c, kind
                     count += 1
     return count
@@ -129,7 +129,7 @@ def _take(system, event_functions, row):
 def scan_on(system, t, h):
     """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last, behind the SCAN_COUNT
     samples that there are, to which it adds: to the end, or one sample behind a sign change. What it has met: CROSSES,
-    DIPS and ENDS in one number."""
+    MINIMUM and ENDS in one number."""
     counters, shares, samples = system.counters, system.scan_shares, system.scan_event_functions
     met, last, i = 0, SCAN_ROOM, counters.scan_count
     while i < last:
@@ -144,14 +144,14 @@ def scan_on(system, t, h):
         else:
             _look(system, t, h, shares[i], i)
         if system.scan_status[i] > EVENT:
-            return met | ENDS | (DIPS if i > 2 and _meets_valley(system, i - 3, True) else 0)
+            return met | ENDS | (MINIMUM if i > 2 and _meets_minimum(system, i - 3, True) else 0)
         i += 1
         counters.scan_count = i
         if met & CROSSES == 0 and i > 1 and _meets_crossing(system, i - 2):
             met |= CROSSES
             last = min(i + 1, SCAN_ROOM)
-        if i > 2 and _meets_valley(system, i - 3, i == SCAN_ROOM):
-            met |= DIPS
+        if i > 2 and _meets_minimum(system, i - 3, i == SCAN_ROOM):
+            met |= MINIMUM
     return met | ENDS if i == SCAN_ROOM else met
 
 
@@ -167,13 +167,13 @@ def _meets_crossing(system, i):
 
 
 @kernel
-def _meets_valley(system, i, last):
+def _meets_minimum(system, i, last):
     """Whether any event function may have been below zero between samples i and i + 2."""
     samples = system.scan_event_functions
     for c in range(count_items(system)):
         for kind in range(EVENTS_PER_CONTACT):
             left, middle, right = samples[i, c, kind], samples[i + 1, c, kind], samples[i + 2, c, kind]
-            if has_valley(left, middle, right, i == 0, last):
+            if has_minimum(left, middle, right, i == 0, last):
                 return True
     return False
 

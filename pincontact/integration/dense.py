@@ -62,7 +62,7 @@ def fill_interpolated(dense, start, nested, theta, out):
 
 
 class Interpolant:
-    """y(theta) for theta in [0, 1] of the step that a system has attempted; keeps what it needs."""
+    """y(theta) for theta in [0, 1] of the step that a system has tried; keeps what it needs."""
 
     def __init__(self, system: System) -> None:
         self._start, self._dense = system.state.copy(), system.dense.copy()

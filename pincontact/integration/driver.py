@@ -32,25 +32,25 @@ from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output
 from .reports import left_behind, told
-from .results import FINISHED, LASTING_HOPS, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
+from .results import FINISHED, LASTING_REBOUNDS, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .slip_at_ends import ACCURATE
 from .slip_steps import PATIENCE, STABLE, SlipSteps
 from .steps import (
     AT_FLOOR,
     AT_LIMIT,
-    ATTEMPTED,
     FAILED_FACTOR,
     INTEGRATE,
     INTEGRATE_APART,
-    INTEGRATE_ONE_ATTEMPT,
     INTEGRATE_ONE_STEP,
+    INTEGRATE_ONE_TRIAL,
     MAY_TOUCH,
     PROJECTION_FAILED,
     SLIP_ENDS,
     SLIP_IS_SLOW,
     STEP_FAILED,
     STEPPED,
+    TRIED,
 )
 from .transitions import Transitions
 
@@ -126,8 +126,9 @@ class Driver:
         except Stop as stop:
             return stop.code, told(self.system, stop) + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        hops = [self.transitions.reports.names[i] for i in np.flatnonzero(self.system.lasting_hops[: self.system.nc])]
-        said += f"; {', '.join(map(repr, hops))} {LASTING_HOPS}; smaller tolerances follow them" if hops else ""
+        lasting = np.flatnonzero(self.system.lasting_rebounds[: self.system.nc]).tolist()
+        names = ", ".join(repr(self.transitions.reports.names[i]) for i in lasting)
+        said += f"; {names} {LASTING_REBOUNDS}; smaller tolerances follow them" if lasting else ""
         said += self._left_behind(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
 
@@ -205,11 +206,9 @@ class Driver:
                 raise self.transitions.reports.failure(t, NO_FORCE)
             self._watch(t, True, False)
             self.outputs.write_asked(t)
-        elif why in (ATTEMPTED, SLIP_ENDS):
+        elif why in (TRIED, SLIP_ENDS):
             step, t_new = float(scalars["step"]), float(scalars["next_time"])
-            t, switched = (
-                self._complete(t, step, t_new) if why == ATTEMPTED else self.slips.end_slip(t, self._allow_start)
-            )
+            t, switched = self._complete(t, step, t_new) if why == TRIED else self.slips.end_slip(t, self._allow_start)
             if switched:
                 t = self._go_on(t, usual_step)
             if self._slides_slowly() and t < t_end:
@@ -274,14 +273,14 @@ class Driver:
         given = options.fixed_step or options.first_step
         scalars["next_step"], self._thrown = given or self.rk.first_step(t, self._end - t), not given
         scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
-        counters["attempt_limit"] = options.max_steps
+        counters["trial_limit"] = options.max_steps
         counters["stalled"], counters["stiff_steps"], counters["patience"] = 0, 0, PATIENCE
         self.open_loads += leaves_loads_open(self.system)
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
         if self.users or self.outputs.pieces is not None:
-            return INTEGRATE_ONE_ATTEMPT
+            return INTEGRATE_ONE_TRIAL
         if self.system.ng or FREE in self.system.modes.tolist():
             return INTEGRATE_ONE_STEP
         return INTEGRATE
@@ -310,7 +309,7 @@ class Driver:
         longest, near = opened.begin_step(t, longest)
         self._follow_relocated(t)
         scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
-        return INTEGRATE_ONE_ATTEMPT if near else task
+        return INTEGRATE_ONE_TRIAL if near else task
 
     def _follow_relocated(self, t: float) -> None:
         """Where contacts are elsewhere, have the accepted state located there."""
@@ -468,7 +467,7 @@ class Driver:
             if user.terminal:
                 self._write_before(time)
                 if theta > 0.0:
-                    self.rk.attempt(t, theta * step)
+                    self.rk.try_step(t, theta * step)
                     self._keep_to(t, theta * step, step)
                 self.rk.load(self.system.new_state if theta > 0.0 else self.system.state)
                 self._project(time, False)
@@ -517,7 +516,7 @@ class Driver:
             return
         new_state, error = self.system.new_state.copy(), self.rk.error
         for size in (taken, step):
-            if self.rk.attempt(t, size) == OK and self.rk.interpolate(t, size):
+            if self.rk.try_step(t, size) == OK and self.rk.interpolate(t, size):
                 break
         else:
             raise no_dense_output(t)

@@ -29,7 +29,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .accuracy import count_hop, gap_rate, gap_resolution, may_stop, rest_speed
+from .accuracy import count_rebound, gap_rate, gap_resolution, may_stop, rest_speed
 from .contradictions import crushed
 from .penetration import Penetration
 from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
@@ -39,7 +39,7 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # What stops takes so many times more where constraints are next to dependent than each of them does.
 _NEXT_TO_DEPENDENT = 1e2
-# Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
+# Slip this many times faster than a bounce goes on in its direction when friction of its impulse is taken from it.
 _FASTER = 2.0
 
 
@@ -57,7 +57,7 @@ class Impacts:
         self._rubbing = np.zeros(0)
         # and whether friction alone, of ideal rolling, holds one of them up
         self._rubs_alone = False
-        # what goes on after the last impact, however low its hop
+        # what goes on after the last impact, however low its bounce
         self._lasting: set[int] = set()
         # modes, slips, q and v before the last impact
         self._before = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -73,7 +73,7 @@ class Impacts:
         unopened: dict[int, int] = {}
         for i in touching:
             closed = penetration.has_stayed_closed(i)
-            count_hop(system, i, -gap_rate(system, i), closed)
+            count_rebound(system, i, -gap_rate(system, i), closed)
             if i not in rebounding and closed and i in penetration.barely_open:
                 # as far as gaps are known it has not opened
                 unopened[i], event = penetration.barely_open.pop(i)
@@ -181,7 +181,7 @@ class Impacts:
         before = changes.counted_energy()
         changes.stop_jammed(t)
         self._brake(t)
-        # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
+        # what stays closed with a normal velocity (a bounce that is none) stops here, which may turn slow slips
         if self._project(t):
             changes.stop_jammed(t)
         else:
@@ -246,7 +246,7 @@ class Impacts:
 
     def _stops_alone(self, speeds: dict[int, float]) -> bool:
         """Whether what leaves in these contacts, at these speeds in m/s, can be stopped by about what each of them
-        takes. Where constraints are next to dependent, as of four wheels that drive over uneven ground, to stop hops,
+        takes. Where constraints are next to dependent, as of four wheels on uneven ground, to stop bounces,
         however low, may take any part of the velocity."""
         system = self.system
         if len(speeds) < 2:
@@ -268,7 +268,7 @@ class Impacts:
                 self.reports.announce(t, i, "separate")
 
     def _slips(self) -> tuple[np.ndarray, bool]:
-        """Speeds in m/s of the slips of closed contacts that have dry friction, and of hops that would end turning
+        """Speeds in m/s of the slips of closed contacts that have dry friction, and of bounces that would end turning
         against a resistance, and whether a contact slides whose friction `_brake` does not know: of ideal rolling, or
         of a bilateral contact, whose impulse may turn round."""
         system, slowest = self.system, rest_speed(self.system)
@@ -278,11 +278,11 @@ class Impacts:
         rough = [c for c in sliding if coefficients[c] < math.inf]
         known = [c for c in rough if system.contact_int[c, UNILATERAL]]
         turning = {i: self.changes.slip_speed(i) for i in system.resisting()}
-        ending = [speed * self._hop_that_ends(i) for i, speed in turning.items() if speed > slowest]
+        ending = [speed * self._bounce_that_ends(i) for i, speed in turning.items() if speed > slowest]
         return np.array([*(speeds[c] for c in rough), *ending]), len(known) < len(sliding)
 
-    def _hop_that_ends(self, i: int) -> float:
-        """Speed in m/s of a hop whose impulse ends turning at 1 rad/s against resistance i."""
+    def _bounce_that_ends(self, i: int) -> float:
+        """Speed in m/s of a bounce whose impulse ends turning at 1 rad/s against resistance i."""
         rows, tangents = self.system.rows, int(self.system.contact_int[i, TANGENTS])
         normal, *turning = (whiten(self.system, row) for row in [rows[self.system.owner(i), 2], *rows[i, :tangents]])
         braked = coefficient(self.system, i) * max(float(row @ row) for row in turning)
@@ -298,7 +298,7 @@ class Impacts:
         resolved = self._rubs_alone or self._rubbing.max(initial=0.0) > speed
         return way if resolved else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
 
-    def _resolution_of_hops(self, i: int, speed: float) -> float:
+    def _resolution_of_bounces(self, i: int, speed: float) -> float:
         """The same of a motion that ends where it has begun: `_brake` lets friction go with the impulses that leave it
         out, which leaves no more than that way, too, unless they end slips or turn them round, or friction that goes
         with no load holds something up."""
@@ -389,7 +389,7 @@ class Impacts:
 
     def _end_short_motions(self, t: float, contacts: list[int], ends: dict[int, int]) -> None:
         """End what an impact has begun and would end within distances shorter than positions are known to: slips, and
-        hops of what took part, contacts and ends of joints (coordinate -> end).
+        bounces of what took part, contacts and ends of joints (coordinate -> end).
 
         Else a body that comes to rest goes on for ever: such a slip's friction tips it, and what tips falls as far
         below the ground as its touch is noticed late; and coupled joints that are pressed onto their ends throw each
@@ -406,12 +406,12 @@ class Impacts:
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             slips = [c for c in slips if c not in lasting]
             left = [g for g in ends if joints.is_free(g)]
-            hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
+            bounces = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_bounces)]
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             stops = [g for g in stops if system.nc + g not in lasting]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c) and c not in self._lasting]
-            if not (slips or stops or hops or touches):
+            if not (slips or stops or bounces or touches):
                 return
             for c in touches:
                 modes[c] = rest_mode(system.contact_real[c, MU])
@@ -420,7 +420,7 @@ class Impacts:
             modes[slips] = STICK
             for g in stops:
                 changes.modes.hold(g, 0)
-            for g in hops:
+            for g in bounces:
                 changes.modes.hold(g, ends[g])
             self._brake(t)
             if not self._project(t):
@@ -435,18 +435,18 @@ class Impacts:
 
     def _project(self, t: float) -> bool:
         """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been
-        stopped that may be, and others are to be decided anew: a hop that is none has its own slip."""
+        stopped that may be, and others are to be decided anew: a bounce that is none has its own slip."""
         system, modes = self.system, self.system.contact_int[:, MODE]
         if self.rk.project(t, False):
             return True
         slowest = rest_speed(system)
-        hopping = [c for c in system.closed() if modes[c] == SLIPPING and abs(gap_rate(system, c)) > slowest]
-        modes[hopping] = FRICTIONLESS
+        bouncing = [c for c in system.closed() if modes[c] == SLIPPING and abs(gap_rate(system, c)) > slowest]
+        modes[bouncing] = FRICTIONLESS
         sliding = may_stop(system)
         if sliding:
             self.changes.stop_slips(t, sliding)
             return False
-        if hopping and self.rk.project(t, False):
+        if bouncing and self.rk.project(t, False):
             self.changes.set_from_velocities(after_impact=True)
             if self.rk.evaluate(t) <= EVENT:
                 return False
@@ -471,4 +471,4 @@ class Impacts:
         if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > self.penetration.accuracy(c):
             return False
         speed, back = gap_rate(self.system, c), -self.changes.modes.gap_acceleration(t, c)
-        return back > 0.0 and speed * speed <= 2.0 * back * self._resolution_of_hops(c, speed)
+        return back > 0.0 and speed * speed <= 2.0 * back * self._resolution_of_bounces(c, speed)

@@ -9,7 +9,7 @@ import numpy as np
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
-from .accuracy import count_hop, gap_resolution, gaps_at_once, rest_speed
+from .accuracy import count_rebound, gap_resolution, gaps_at_once, rest_speed
 from .reports import Reports
 from .run_system import RunSystem
 
@@ -82,14 +82,14 @@ class JointEvents:
         """Coordinate g has come to an end of its way, and is held there."""
         self.reports.announce(t, self.system.nc + g, "limit")
         speed = abs(float(self.system.v[self.system.limits[g].index_v]))
-        count_hop(self.system, self.system.nc + g, speed, self._at_end.get(g) == end)
+        count_rebound(self.system, self.system.nc + g, speed, self._at_end.get(g) == end)
         self._announced[g] = True, end
         self._hold(g, end)
 
     def hold_near(self) -> None:
         """Hold the free coordinates that come to an end now as far as instants are told apart.
 
-        What has left that end by less is held only where it is back: its hop has been followed to round-off.
+        What has left that end by less is held only where it is back: its bounce has been followed to round-off.
         """
         at_once = gaps_at_once(self.system)[self.system.nc :].tolist()
         for g in filter(self.is_free, range(self.system.ng)):

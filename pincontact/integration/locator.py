@@ -35,7 +35,7 @@ from ..layout import (
     SPEED_EVENT,
 )
 from .accuracy import APART_AT_END, gap_resolution, next_to_nothing
-from .crossings import CROSSES, DIPS, ENDS, LEFT_OUT, NOT_SOUGHT, UNKNOWN, find_crossings, find_valleys
+from .crossings import CROSSES, ENDS, LEFT_OUT, MINIMUM, NOT_SOUGHT, UNKNOWN, find_crossings, find_minima
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import look_below_zero
@@ -95,12 +95,12 @@ class EventLocator:
         # gaps that end no mode, and the samples before
         denied: set[tuple[float, int, int]] = set()
         while not met & ENDS:
-            met = met & DIPS | system.run(SCAN_ON, t, step)
+            met = met & MINIMUM | system.run(SCAN_ON, t, step)
             n = int(system.counters["scan_count"])
-            if not met & (CROSSES | DIPS) or n < 2:
+            if not met & (CROSSES | MINIMUM) or n < 2:
                 continue
             places, values = system.scan_shares[:n].tolist(), system.scan_event_functions[:n, : system.items]
-            if met & DIPS:
+            if met & MINIMUM:
                 places, values = self._with_lowest(t, step, places, values)
             for i, group in groupby(self._found(find_crossings, values, self._open.apart), lambda found: found[0]):
                 for row, k in ((LEFT_ROW, i), (RIGHT_ROW, i + 1)):
@@ -135,7 +135,7 @@ class EventLocator:
         """The samples at these places, and the lowest points of event functions between them, if they are negative
         there."""
         samples = dict(zip(places, values))
-        for i, c, kind in self._found(find_valleys, values):
+        for i, c, kind in self._found(find_minima, values):
             points = [(place, float(samples[place][c, kind])) for place in places[i : i + 3]]
             looked: dict[float, np.ndarray] = {}
             lowest = look_below_zero(self._function(t, step, (c, kind), looked), points)
@@ -242,7 +242,7 @@ class EventLocator:
         found += slack.item(c, kind)
         exists, values = system.look(t, step, back / step)
         if not exists or math.isnan(found):
-            self.rk.attempt(t, h)
+            self.rk.try_step(t, h)
             return h, True
         slope = (found - values.item(c, kind)) / (h - back)
         depth = float(self._depths[c]) if self._is_way(c, kind) else 0.0
@@ -276,18 +276,18 @@ class EventLocator:
                 break
             h += change
         else:
-            self.rk.attempt(t, h)
+            self.rk.try_step(t, h)
         if denied or value < -max(next_to_nothing(system, c, kind), zero):
             # outputs were written up to there; a function that jumps has no zero for secants
             h = crossing.theta * step
-            self.rk.attempt(t, h)
+            self.rk.try_step(t, h)
         return h, not denied
 
     def _reach(self, t: float, h: float, step: float, as_good: bool) -> bool:
         """A trial step of size h, or what the dense output of the whole step has there, where that is as good; whether
         it can be evaluated."""
         if not as_good or h > step:
-            return self.rk.attempt(t, h) == OK
+            return self.rk.try_step(t, h) == OK
         system = self.system
         exists, _ = system.look(t, step, h / step)
         system.new_state[:], system.scalars["step"] = system.stage_state, h

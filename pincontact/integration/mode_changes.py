@@ -129,7 +129,7 @@ class ModeChanges:
 
         at_rest: contacts that have just come to rest and the directions of their slip till then; what slips on as it
         did is no event. silent: announce separations only. beyond: a contact whose static friction has been exceeded.
-        explained: see `_settle`.
+        explained: see `_project_decided`.
         """
         system, ending = self.system, self._joints_at_rest()
         at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
@@ -138,14 +138,14 @@ class ModeChanges:
         # what is left of slips that have ended goes on where friction does not end it at once
         ahead = self.ahead if at_rest else math.inf
         self.resolve_modes(t, undecided, beyond, ahead)
-        self._settle(t, explained)
+        self._project_decided(t, explained)
         # what comes to rest may hold more
         stopped = self._stopped(t, before) if at_rest else []
         if stopped:
             self._hold(stopped)
             at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
             self.resolve_modes(t, self.sticking(), beyond, ahead)
-            self._settle(t, explained)
+            self._project_decided(t, explained)
         self.rk.accept()
         after = system.contact_int[:, MODE].tolist()
         for c in [*range(system.nc), *system.resisting()]:
@@ -366,7 +366,7 @@ class ModeChanges:
                 f"{speed:.3g} in the mass metric, by {taken:.3g}",
             )
 
-    def _settle(self, t: float, explained: bool) -> None:
+    def _project_decided(self, t: float, explained: bool) -> None:
         """Put the state, which has been evaluated in modes that have just been decided, on their constraints. Where
         that takes more from the velocity than slips that have ended, what sticks gives way if it can; explained: by
         an impact, say, whatever it takes."""

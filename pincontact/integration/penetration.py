@@ -182,7 +182,7 @@ class Penetration:
     def _evaluate_after(self, t: float, tau: float) -> bool:
         """Evaluate what a trial step from the accepted state over tau leads to; whether that is possible."""
         rk = self._rk
-        if rk.attempt(t, tau) != OK:
+        if rk.try_step(t, tau) != OK:
             return False
         rk.load(rk.system.new_state)
         return rk.evaluate(t + tau) <= EVENT

@@ -86,7 +86,7 @@ def take_event_functions_up(system):
 
 @separate_kernel(NOTHING, SYSTEM.type)
 def event_function_error(system):
-    """Raise ERROR_NORM of the attempted step where one of its event functions is not resolved: to 1 and more."""
+    """Raise ERROR_NORM of the trial step where one of its event functions is not resolved: to 1 and more."""
     n, scalars = count_items(system), system.scalars
     lowest, highest = system.lowest, system.highest
     worst, floor, largest_force = 0.0, -1.0, 0.0
@@ -114,7 +114,7 @@ def event_function_error(system):
 
 @kernel
 def _left(system, c, kind):
-    """What the best polynomial leaves of an event function in the attempted step: the norm over its stages."""
+    """What the best polynomial leaves of an event function in the trial step: the norm over its stages."""
     sizes = system.sizes
     kept = system.scan_event_functions
     weights = system.weights_error

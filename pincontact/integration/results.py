@@ -25,7 +25,9 @@ GAP_TOLERANCE = 10.0
 # What runs say of forces on which the motion depends, and of which more than one choice is right.
 OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while some slide"
 # And of rebounds lower than gaps are known that do not get lower beside a motion.
-LASTING_HOPS = "hop on without getting lower, by less than gaps are known: hops are left out that may change the motion"
+LASTING_REBOUNDS = (
+    "bounce on without getting lower, by less than gaps are known, which is left out and may change the motion"
+)
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,

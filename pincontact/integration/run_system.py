@@ -26,8 +26,8 @@ class RunSystem(System):
         self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
         self.allocate(run_ny=ny, run_items=items, across_rows=2 * items + 1)
         # see `accuracy.set_accuracy`
-        self.gap_accuracy = self.finest_hops = self.lowest_hops = self.hop_speeds = np.zeros(self.items)
-        self.lasting_hops = np.zeros(self.items, dtype=bool)
+        self.gap_accuracy = self.lowest_resolved = self.lowest_rebounds = self.rebound_speeds = np.zeros(self.items)
+        self.lasting_rebounds = np.zeros(self.items, dtype=bool)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()
         self.put("output_times", self._few_times[:0], self._few_at)

@@ -32,7 +32,7 @@ Torque = Callable[[float], None]
 class RungeKutta:
     """One integrator on one system.
 
-    The state at the step's start is `system.state` with its slope in slot 0; `attempt` leaves the new state in
+    The state at the step's start is `system.state` with its slope in slot 0; `try_step` leaves the new state in
     `system.new_state` and the error norm in `error`; nothing of the start is lost before `accept`.
     torque: fills `system.tau` for (t, system.q, system.v); or None.
     """
@@ -63,12 +63,12 @@ class RungeKutta:
 
     @property
     def error(self) -> float:
-        """Error norm of the last attempt, 1 at the tolerance."""
+        """Error norm of the last trial step, 1 at the tolerance."""
         return float(self.system.scalars["error_norm"])
 
     @property
     def alarm(self) -> bool:
-        """Whether an event function was negative in any stage of the last attempt, or may have been between them."""
+        """Whether an event function was negative in any stage of the last trial step, or may have been between them."""
         return bool(self.system.counters["alarm"])
 
     def evaluate_start(self, t: float) -> int:
@@ -79,7 +79,7 @@ class RungeKutta:
         """Torque, Pinocchio and kernel at (q, v) of the system."""
         return self.system.evaluate(t)
 
-    def attempt(self, t: float, h: float) -> int:
+    def try_step(self, t: float, h: float) -> int:
         """A step of size h from the state at t; returns a status."""
         return self.system.run(TRIAL_STEP, t, h)
 

@@ -341,7 +341,7 @@ class SlipOnset:
     def _trial_step(self, t: float, tau: float) -> float:
         """A step from the accepted state of tau, or of as much less as its error asks for; how long it is."""
         for _ in range(_SHORTENINGS):
-            if self.rk.attempt(t, tau) == OK and self.rk.error < 1.0:
+            if self.rk.try_step(t, tau) == OK and self.rk.error < 1.0:
                 return tau
             tau *= FAILED_FACTOR
         raise self.changes.reports.failure(t, NO_FORCE)

@@ -68,7 +68,7 @@ class SlipSteps:
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._accepted(t)
-                limited = t >= end or counters["step_count"] >= counters["attempt_limit"]
+                limited = t >= end or counters["step_count"] >= counters["trial_limit"]
                 tried = not (limited or slip_is_ending(self.system) or onset.pending)
         counters["stiff_steps"] = 0
         return t

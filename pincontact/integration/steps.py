@@ -36,7 +36,7 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     WRITE_OUTPUTS,
     INTEGRATE,
     INTEGRATE_ONE_STEP,
-    INTEGRATE_ONE_ATTEMPT,
+    INTEGRATE_ONE_TRIAL,
     INTEGRATE_APART,
     PROJECT_PLACES,
     ACROSS_SLIP,
@@ -53,7 +53,7 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
 (
     INTEGRATING,
     STEPPED,
-    ATTEMPTED,
+    TRIED,
     SLIP_ENDS,
     SLIP_IS_SLOW,
     STEP_FAILED,
@@ -152,7 +152,7 @@ def _complete(system, task, t, step, error):
         _set_aside(system)
     if inside:
         if interpolation(system, t, step) > EVENT or write_outputs(system, t_new, False) != OK:
-            return ATTEMPTED
+            return TRIED
         new_state, stage_state = system.new_state, system.stage_state
         for i in range(system.sizes.ny):
             stage_state[i] = new_state[i]
@@ -183,16 +183,16 @@ def integrate(system, task):
 
     INTEGRATING: not yet, call again; STEPPED: a step was accepted, which INTEGRATE_ONE_STEP asks for, or END was
     reached, or there is no room for more rows (at the call there must be some); SLIP_IS_SLOW: so many steps were stiff
-    as PATIENCE allows; ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was
-    negative, or its outputs could not all be written, or INTEGRATE_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED:
-    rejected because of the status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts; MAY_TOUCH: open
+    as PATIENCE allows; TRIED: a step is within its error, but neither projected nor accepted: an event function was
+    negative, or its outputs could not all be written, or INTEGRATE_ONE_TRIAL asks for it; SLIP_ENDS; STEP_FAILED:
+    rejected because of the status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of trial steps; MAY_TOUCH: open
     contacts might in the next step, at which INTEGRATE_APART ends.
     """
     scalars, counters = system.scalars, system.counters
     n, end, fixed = count_items(system), scalars.end, scalars.fixed_step
     for _ in range(BATCH):
         t, h, remaining = scalars.now, scalars.next_step, scalars.end - scalars.now
-        if counters.step_count + counters.rejected_count >= counters.attempt_limit:
+        if counters.step_count + counters.rejected_count >= counters.trial_limit:
             return AT_LIMIT
         if slip_ends(system, n):
             return SLIP_ENDS
@@ -229,8 +229,8 @@ def integrate(system, task):
         t_new = end if step == remaining else t + step
         scalars.next_time = t_new
         counters.step_count += 1
-        if task == INTEGRATE_ONE_ATTEMPT or counters.alarm != 0:
-            return ATTEMPTED
+        if task == INTEGRATE_ONE_TRIAL or counters.alarm != 0:
+            return TRIED
         result = _complete(system, task, t, step, error)
         if result != OK:
             return result

@@ -104,8 +104,8 @@ class State:
         Location parameters of each contact, two for u_1, two for u_2, in m or rad.
     discrete : (nc, 10) array of int
         Of each contact mode, charts of both bodies, side, branch, sign of det J, sign of slip, sign of the normal force
-        (0 where it slides, closed, and carries nothing), frozen direction, whether
-        it is open beside ends, and has not been over them yet.
+        (0 where it slides, closed, and carries nothing), frozen direction, whether it is open beside ends and has not
+        been over them yet.
     correction : Correction, optional
         What `Scene.initial_state` changed.
     candidates : dict of str to list of Candidate, optional

@@ -114,3 +114,59 @@ def test_events_of_joints_in_steps(name):
         assert -h < min(late) and max(late) < 3.0 * h
         # within the step: as exact as the motion
         assert all(abs(after) < h for (kind, _), after in zip(exact, late) if kind == "limit")
+
+
+def hand_in_flight(rng):
+    """A body of 10 to 60 kg with chains of light links, all of whose joints are at an end of their ways."""
+    model = pin.Model()
+    body = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    weight = pin.Inertia(rng.uniform(10.0, 60.0), 0.1 * rng.normal(size=3), np.diag(rng.uniform(1.0, 3.0, 3)))
+    model.appendBodyToJoint(body, weight, pin.SE3.Identity())
+    for chain in range(4):
+        parent = body
+        for k in range(4):
+            place = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(0.02, 0.2, 3) * 0.5**k)
+            low, open_ = float(rng.choice([-1.0, 0.0])), rng.uniform(0.2, 1.0)
+            ends = np.array([9.0]), np.array([9.0]), np.array([low]), np.array([low + open_])
+            axis = rng.normal(size=3)
+            joint = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis))
+            parent = model.addJoint(parent, joint, place, f"{chain}{k}", *ends)
+            moments = np.diag(rng.uniform(0.5, 1.0, 3)) * 10.0 ** rng.uniform(-7, -4)
+            link = pin.Inertia(10.0 ** rng.uniform(-2, -1), 0.01 * rng.normal(size=3), moments)
+            model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+    at_ends = np.where(rng.random(16) < 0.5, model.lowerPositionLimit[7:], model.upperPositionLimit[7:])
+    return pc.Scene(model), np.r_[0.0, 0.0, 5.0, pin.Quaternion(pin.exp3(rng.normal(size=3))).coeffs(), at_ends]
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_nothing_presses_joints_onto_their_ends_in_flight(method):
+    """Their forces are round-off, whose sign let joints go and stopped them hundreds of times."""
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        scene, q = hand_in_flight(rng)
+        v = np.r_[rng.normal(size=3), np.zeros(19)]
+        run = pc.simulate(scene, scene.initial_state(q, v), 0.5, method=method)
+        assert run.status == 0 and not run.events, run.message
+        np.testing.assert_allclose(run.q[-1, 7:], q[7:], atol=1e-12)
+
+
+def test_a_small_torque_lets_a_joint_go_in_flight():
+    """A torque that grows through zero at 0.1 s lets a link go, though it never accelerates it by more than
+    2e-6 rad/s^2."""
+    rng = np.random.default_rng(8)
+    scene, q = hand_in_flight(rng)
+    model = scene.model
+    k = model.nv - 1
+    moved = float(np.diag(pin.crba(model, model.createData(), q))[k])
+    away = 1.0 if q[k + 1] == model.lowerPositionLimit[k + 1] else -1.0
+
+    def control(t, q, v):
+        torque = np.zeros(model.nv)
+        torque[k] = away * 1e-5 * moved * (t - 0.1)
+        return torque
+
+    run = pc.simulate(scene, scene.initial_state(q), 0.3, control=control)
+    assert run.status == 0, run.message
+    # it lets others go by what it takes along; what counts as zero is 1e-14 of what moves the whole robot
+    released = [event.time for event in run.events if (event.joint, event.kind) == ("33", "release")]
+    assert released[0] == pytest.approx(0.1, abs=1e-3)

@@ -323,7 +323,11 @@ def find_state(
             left = _left(system, c, candidates[contact.name], places, is_free)
             chosen = _choose(contact, left, is_free, max_gap, found[contact.name].side)
         except NoContactError as error:
-            untouched[contact.name] = error
+            if is_free and found[contact.name].is_nowhere:
+                # looked for as bodies move
+                system.contact_int[c, MODE], system.location[c] = FREE, _middle(contact)
+            else:
+                untouched[contact.name] = error
             continue
         integers = system.contact_int[c]
         integers[SIDE] = found[contact.name].side or chosen.side or 1
@@ -363,12 +367,13 @@ def _left(
 
 
 class _Found(NamedTuple):
-    """Where a contact may be, the side on which it is, 0 where that of a candidate counts, and whether body 1 is beside
-    the ends of body 2."""
+    """Where a contact may be, the side on which it is, 0 where that of a candidate counts, whether body 1 is beside the
+    ends of body 2, and whether bodies are apart for certain, though nothing was found."""
 
     candidates: list[Candidate]
     side: int
     is_beside: bool = False
+    is_nowhere: bool = False
 
 
 def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool) -> _Found:
@@ -403,7 +408,17 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
         found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess))
-    return _Found(found, side, not is_over)
+    is_nowhere = not found and is_searched(single, 0) and _are_apart(single, t)
+    return _Found(found, side, not is_over, is_nowhere)
+
+
+def _middle(contact: Contact) -> np.ndarray:
+    """(4,) contact coordinates in the middle of both domains, 0 where these are infinite."""
+    middle = np.zeros(4)
+    for offset, body in ((0, contact.body1), (2, contact.body2)):
+        for a, ends in enumerate(body.contour.domain):
+            middle[offset + a] = 0.5 * sum(ends) if np.isfinite(ends).all() else 0.0
+    return middle
 
 
 def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
@@ -419,14 +434,12 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    if not found:
-        pair = f"{contact.first.name!r} and {contact.second.name!r}"
-        why = (
-            f"on the other side of each other than it has them: give add_contact side={-(contact.side or 1):+d}"
-            if every
-            else "nearest along a line or a circle wherever they move: there is no point contact"
+    if every and not found:
+        raise SingularContactError(
+            f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
+            f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",
+            0.0,
         )
-        raise SingularContactError(f"contact {contact.name!r}: {pair} are apart, and {why}", 0.0)
     return found
 
 

@@ -1,0 +1,64 @@
+"""Gears by the flanks of their teeth: of many contacts that start open few are anywhere at the start."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+MODULE, TEETH, PRESSURE = 0.1, (24, 25), math.radians(20.0)
+
+
+def flank(radius: float, tip: float) -> pc.Contour:
+    """The involute of a circle up to the tip."""
+
+    def point(u):
+        return radius * (math.cos(u) + u * math.sin(u)), radius * (math.sin(u) - u * math.cos(u)), 0.0
+
+    return pc.ParametricCurve(point, domain=(0.02, math.sqrt((tip / radius) ** 2 - 1.0)))
+
+
+def gears(teeth: range) -> tuple[pc.Scene, pc.State]:
+    """Two gears on fixed axes, with the pairs of flanks of these teeth, of which number 0 touches."""
+    model, (one, two) = pin.Model(), (0.5 * MODULE * number for number in TEETH)
+    model.gravity.linear = np.zeros(3)
+    for name, x in (("first", 0.0), ("second", one + two)):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        joint = model.addJoint(0, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame(f"{name} gear", joint, pin.SE3.Identity(), 0)
+    scene, involute = pc.Scene(model), math.tan(PRESSURE) - PRESSURE
+
+    def turned(angle: float) -> pin.SE3:
+        return pin.SE3(pin.utils.rotate("z", angle), np.zeros(3))
+
+    shapes = [flank(radius * math.cos(PRESSURE), radius + MODULE) for radius in (one, two)]
+    for i in teeth:
+        angles = 2.0 * math.pi * i / TEETH[0] - involute, math.pi - involute - 2.0 * math.pi * i / TEETH[1]
+        first = scene.add_contour(f"a{i}", shapes[0], "first gear", turned(angles[0]))
+        second = scene.add_contour(f"b{i}", shapes[1], "second gear", turned(angles[1]))
+        scene.add_contact(f"t{i}", first, second)
+    return scene, scene.initial_state([0.0, 0.0], free=[f"t{i}" for i in teeth if i])
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 1e-3}])
+def test_teeth_take_over_from_each_other(options):
+    """Involutes keep the ratio of speeds: so do angles, over six teeth. Of 13 pairs some have no point at
+    the start at which they are nearest; they touch when their turn comes."""
+    scene, state = gears(range(-4, 9))
+    run = pc.simulate(scene, state, 2.0, control=lambda t, q, v: np.array([-2.0, -1.0]), **options)
+    assert run.status == 0, run.message
+    assert {event.contact for event in run.events if event.kind == "touch"} >= {"t1", "t2", "t3", "t4"}
+    # energy: both turn like one with torque tau_1 - tau_2 N_1 / N_2 and inertia 1 + (N_1 / N_2)^2
+    ratio = TEETH[0] / TEETH[1]
+    angle = 0.5 * 2.0**2 * (-2.0 + ratio) / (1.0 + ratio**2)
+    np.testing.assert_allclose(run.q[-1], [angle, -ratio * angle], rtol=0.0, atol=1e-9)
+
+
+def test_any_pair_may_start_open():
+    """All around: beside those that are near each other there are pairs that are nowhere."""
+    _, state = gears(range(-11, 13))
+    assert np.isfinite(state.location).all()
+    assert (state.discrete[:, 0] == -1).sum() == 23

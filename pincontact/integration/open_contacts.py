@@ -518,7 +518,10 @@ class OpenContacts:
         return found is not None and found.gap < 0.0
 
     def _is_present(self, c: int, found: Candidate) -> bool:
-        """Whether a candidate is where contact c is."""
+        """Whether a candidate, which is inside the contours' domains, is where contact c is: a point may have other
+        coordinates beyond an end, from which there is no way to it."""
+        if self.system.contact_real[c, DOMAIN] < 0.0:
+            return False
         system, same = self.system, SAME_PLACE * self.system.contact_real[c, LENGTH]
         if not abs(system.gaps[c, 0] - found.gap) < same:
             # elsewhere, or on another side of body 1

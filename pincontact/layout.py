@@ -299,7 +299,6 @@ SYSTEM = Layout(
     ),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
     side_shape=(REALS, "sides", SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
     side_domain=(REALS, "sides", 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
-    side_periods=(REALS, "sides", 2),  # (2 nc, 2): after how much of u1 and u2 the contour repeats, infinite if never
     side_base=(REALS, "sides", 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
     side_motion=(
         REALS,

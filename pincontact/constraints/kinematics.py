@@ -344,18 +344,14 @@ def total_tangent_rate(system, c, body, a, out):
 
 
 @kernel
-def distance_to_ends(dimension, u, chart, ends, periods, distance):
+def distance_to_ends(dimension, u, chart, ends, distance):
     """The least of distance and the parameters' distances from the ends (4,) of their domain, negative outside.
 
-    Ends are those of the first chart; other charts stay away from them. Of the turns of an angle that counts which is
-    nearest to the domain.
+    Ends are those of the first chart; other charts stay away from them.
     """
     if chart == 0:
         for a in range(dimension):
-            low, high, value = ends[2 * a], ends[2 * a + 1], u[a]
-            if periods[a] < math.inf and high < math.inf:
-                value -= periods[a] * round((value - 0.5 * (low + high)) / periods[a])
-            distance = min(distance, value - low, high - value)
+            distance = min(distance, u[a] - ends[2 * a], ends[2 * a + 1] - u[a])
     return distance
 
 

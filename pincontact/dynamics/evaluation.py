@@ -254,8 +254,7 @@ def measure_ends(system, c):
     for body in range(2):
         u, side = system.location[c, 2 * body : 2 * body + 2], 2 * c + body
         dimension, chart = system.contact_int[c, K1 + body], system.side_int[side, CHART]
-        ends, periods = system.side_domain[side], system.side_periods[side]
-        distance = distance_to_ends(dimension, u, chart, ends, periods, distance)
+        distance = distance_to_ends(dimension, u, chart, system.side_domain[side], distance)
     system.contact_real[c, DOMAIN] = distance
 
 

@@ -210,7 +210,6 @@ class System(Workspace):
         integers[EVALUATOR] = kernel_address(contour.evaluator)
         self.side_shape[side] = contour.shape_row()
         self.side_domain[side] = contour.ends()
-        self.side_periods[side, : contour.dimension] = contour.periods
         placement = attached.placement_in_joint
         self.side_base[side, :9] = placement.rotation.ravel()
         self.side_base[side, 9:] = placement.translation

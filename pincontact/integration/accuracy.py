@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import (
+    CHART,
     DOMAIN,
     LENGTH,
     MODE,
@@ -122,10 +123,11 @@ def is_over(system: RunSystem, c: int) -> bool:
         return domain > 0.0
     rate, least = 0.0, math.inf
     for i, (u, moves) in enumerate(zip(system.location[c].tolist(), system.rates[c].tolist())):
-        low, high = system.side_domain[2 * c + i // 2].reshape(2, 2)[i % 2].tolist()
-        period = float(system.side_periods[2 * c + i // 2, i % 2])
-        if math.isfinite(period) and math.isfinite(high):
-            u -= period * round((u - 0.5 * (low + high)) / period)
+        side = 2 * c + i // 2
+        if system.side_int[side, CHART] != 0:
+            # other charts stay away from ends
+            continue
+        low, high = system.side_domain[side, 2 * (i % 2) : 2 * (i % 2) + 2].tolist()
         if min(u - low, high - u) < least:
             least, rate = min(u - low, high - u), moves if u - low < high - u else -moves
     return rate > 0.0

@@ -325,7 +325,12 @@ def find_state(
         except NoContactError as error:
             if is_free and found[contact.name].is_nowhere:
                 # looked for as bodies move
-                system.contact_int[c, MODE], system.location[c] = FREE, _middle(contact)
+                system.contact_int[c, [MODE, SIDE, BESIDE]] = (
+                    FREE,
+                    found[contact.name].side,
+                    found[contact.name].is_beside,
+                )
+                system.location[c] = _middle(contact)
             else:
                 untouched[contact.name] = error
             continue
@@ -368,7 +373,7 @@ def _left(
 
 class _Found(NamedTuple):
     """Where a contact may be, the side on which it is, 0 where that of a candidate counts, whether body 1 is beside the
-    ends of body 2, and whether bodies are apart for certain, though nothing was found."""
+    ends of body 2, and whether bodies are apart for certain, on a side that is known, though nothing was found."""
 
     candidates: list[Candidate]
     side: int
@@ -403,12 +408,12 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
             raise
         found = _beside(single, t, guess)
     is_beyond = bool(found) and not comes_back(single, found[0])
-    if is_seen and (is_beyond or not is_over):
+    if is_seen and (is_beyond or not (is_over and found)):
         side = side or told
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
         found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess))
-    is_nowhere = not found and is_searched(single, 0) and _are_apart(single, t)
+    is_nowhere = not found and side != 0 and is_searched(single, 0) and _are_apart(single, t)
     return _Found(found, side, not is_over, is_nowhere)
 
 

@@ -110,3 +110,36 @@ def test_starts_in_pipes_of_any_size(size):
         scene.add_contact("c", scene.add_contour("ball", pc.Sphere(radius), frame="ball"), pipe)
         state = scene.initial_state([0.0, 0.0, radius - size, 0.0, 0.0, 0.0, 1.0])
         assert abs(state.correction.gaps["c"]) < 1e-9 * size
+
+
+def wheel_in(arc: pc.Contour, radius: float) -> pc.Scene:
+    """A wheel in the xz-plane within a planar arc, no side of which is given."""
+    model, joint = pin.Model(), 0
+    for kind in (pin.JointModelPX(), pin.JointModelPZ(), pin.JointModelRY()):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), kind.shortname())
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
+    model.addBodyFrame("wheel", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    rim = scene.add_contour("rim", pc.Circle(radius), frame="wheel", placement=ACROSS)
+    scene.add_contact("c", rim, scene.add_contour("arc", arc, placement=ACROSS))
+    return scene
+
+
+@pytest.mark.parametrize("options", METHODS)
+def test_starts_that_are_nowhere_touch_like_others(options):
+    """Wheels that drop into an elliptic trough, of which some have no point at the start at which they are nearest: as
+    in the whole ellipse that it is a part of."""
+    starts = [(0.2186342171882829, 0.22185123996722114, 0.1640623460930266)]
+    starts += np.random.default_rng(11).uniform((-0.3, 0.1, 0.05), (0.3, 0.3, 0.2), (12, 3)).tolist()
+    nowhere = 0
+    for x, z, radius in starts:
+        times = []
+        for domain in (None, (-2.0 * math.pi - 0.1, 0.1 - math.pi)):
+            scene = wheel_in(pc.Ellipse(1.0, 0.8, domain), radius)
+            state = scene.initial_state([x, z, 0.0], free=["c"])
+            nowhere += not state.candidates["c"]
+            run = pc.simulate(scene, state, 0.6, **options)
+            assert run.status == 0, run.message
+            times.append(next(event.time for event in run.events if event.kind == "touch"))
+        assert times[1] == pytest.approx(times[0], abs=1e-9)
+    assert nowhere

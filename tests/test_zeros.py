@@ -403,6 +403,24 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     np.testing.assert_allclose(event.q, exact.q, rtol=0.0, atol=10.0 * rtol)
 
 
+def test_no_refinement_goes_over_what_was_looked_at_next(monkeypatch):
+    """Between the later samples of the step others may end modes: secants, which round-off may lead anywhere, stop at
+    the sample behind the crossing."""
+    refine, later = EventLocator.refine, []
+
+    def bounded_refine(locator, t, step, crossing):
+        end = crossing.theta * step
+        later.append(refine(locator, t, step, crossing)[0] > end)
+        assert refine(locator, t, step, crossing._replace(until=crossing.theta))[0] <= end
+        return refine(locator, t, step, crossing)
+
+    monkeypatch.setattr(EventLocator, "refine", bounded_refine)
+    for rtol in (1e-3, 1e-4, 1e-5, 1e-6):
+        scene, state = tumbling(restitution=0.5)
+        assert pc.simulate(scene, state, 1.2, rtol=rtol, atol=1e-2 * rtol).status == 0
+    assert any(later) and not all(later)
+
+
 @pytest.mark.parametrize("method", ["RK45", "DOP853", "Sharp98"])
 def test_dense_output_that_is_as_good_as_a_step(monkeypatch, method):
     """Where the error of the whole step is small its dense output is what is stepped to, and as near to the true step

@@ -95,8 +95,7 @@ class Beside:
         """Whether the contact is, at the last look, nowhere near where body 2 is nearest."""
         if self.system.side_int[2 * self.c + 1, CHART] != 0:
             return False
-        away, periods = self.system.location[self.c, 2 : 2 + self.piece.dimension] - self.nearest, self.piece.periods
-        away -= [p * round(u / p) if math.isfinite(p) else 0.0 for u, p in zip(away.tolist(), periods)]
+        away = self.system.location[self.c, 2 : 2 + self.piece.dimension] - self.nearest
         return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
 
 

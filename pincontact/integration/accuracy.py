@@ -115,11 +115,16 @@ def gaps_at_once(system: RunSystem) -> np.ndarray:
     return np.maximum(least, gap_resolution(system))
 
 
+def at_end(system: RunSystem) -> float:
+    """How near to the end of a domain a contact is at it, in m or rad."""
+    return _AT_ONCE_ROUND_OFF * _round_off(system)
+
+
 def is_over(system: RunSystem, c: int) -> bool:
     """Whether the points of contact c are inside the contours' domains in the last evaluation, or at an end and about
     to come in."""
-    domain, tiny = float(system.contact_real[c, DOMAIN]), _AT_ONCE_ROUND_OFF * _round_off(system)
-    if abs(domain) > tiny:
+    domain = float(system.contact_real[c, DOMAIN])
+    if abs(domain) > at_end(system):
         return domain > 0.0
     rate, least = 0.0, math.inf
     for i, (u, moves) in enumerate(zip(system.location[c].tolist(), system.rates[c].tolist())):

@@ -360,6 +360,8 @@ class Driver:
             rests = crossing is not None and not asked and self.transitions.changes.rests_on_redundant()
             while rests and crossing is not None and self._keeps_motion(t, step, crossing):
                 crossing = self.locator.first(t, step, crossing.theta)
+            if opened.is_near:
+                crossing = self.locator.comes_over(t, step, crossing)
             if asked:
                 self._announce_user_events(t, step, math.inf if crossing is None else crossing.theta)
             if crossing is not None:

@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ..arrays import array_entry
 from ..dynamics.event_functions import FORCE_EVENTS
@@ -34,7 +35,7 @@ from ..layout import (
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import APART_AT_END, gap_resolution, next_to_nothing
+from .accuracy import APART_AT_END, at_end, gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
 from .crossings import CROSSES, ENDS, LEFT_OUT, MINIMUM, NOT_SOUGHT, UNKNOWN, find_crossings, find_minima
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
@@ -117,6 +118,30 @@ class EventLocator:
                 if crossed:
                     return self._earliest(t, step, crossed, known, places[i + 1])
         return None
+
+    def comes_over(self, t: float, step: float, crossing: Crossing | None) -> Crossing | None:
+        """What is first in the trial step: this crossing, or where a contact comes over a contour that it touches then.
+        That is no change of sign, as others carry the body, but it is to carry its part from there on."""
+        system, nc = self.system, self.system.nc
+        level = (system.modes == FREE) & self._open.apart
+        level &= system.highest[:nc, GAP_EVENT] <= gaps_at_once(system)[:nc]
+        if not level.any():
+            return crossing
+
+        def distances(theta: float) -> np.ndarray:
+            exists, _ = system.look(t, step, theta)
+            return np.where(exists, system.contact_real[:nc, DOMAIN], math.nan)
+
+        until, least = 1.0 if crossing is None else crossing.theta, at_end(system)
+        before = distances(0.0)
+        for c in np.flatnonzero(level & (before <= least) & (distances(until) > least)).tolist():
+            theta = 0.0
+            if before[c] < 0.0:
+                theta = brentq(lambda share, c=c: distances(share)[c], 0.0, until, xtol=_REFINED)
+            distances(theta)
+            if theta < until and abs(gap_rate(system, c)) <= rest_speed(system):
+                until, crossing = theta, Crossing(theta, c, DOMAIN_EVENT, math.nan, theta)
+        return crossing
 
     # ---------------------------------------------------------------- values
 

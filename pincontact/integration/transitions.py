@@ -34,7 +34,7 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .accuracy import gap_rate, held_up, may_stop, next_to_nothing, rest_speed
+from .accuracy import gap_rate, held_up, may_stop, next_to_nothing
 from .contradictions import apart, jump_apart, jump_into, refuse_apart, touch_elsewhere
 from .impacts import Impacts
 from .joint_events import JointEvents
@@ -281,10 +281,6 @@ class Transitions:
         if not integers[UNILATERAL]:
             raise Stop(END_OF_CONTOUR, f"t = {t:.9g} s: contact {self.reports.names[c]!r} reached the end of a contour")
         integers[MODE] = FREE
-        # what comes over another contour here, at gap zero, goes on on that, though others may carry the body
-        for i in np.flatnonzero((self.system.modes == FREE) & self.open.apart).tolist():
-            if i != c and self.penetration.touches(i) and abs(gap_rate(self.system, i)) <= rest_speed(self.system):
-                return self.impacts.touch(t, i)
         return self.onset.resolve(t, self.changes.sticking())
 
     def _lose_load(self, t: float, c: int) -> float:

@@ -32,7 +32,7 @@ from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output
 from .reports import left_behind, told
-from .results import FINISHED, LASTING_REBOUNDS, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
+from .results import FINISHED, LASTING_REBOUNDS, OPEN_LOADS, SLIPS_LATE, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .slip_at_ends import ACCURATE
 from .slip_steps import PATIENCE, STABLE, SlipSteps
@@ -127,10 +127,14 @@ class Driver:
             return stop.code, told(self.system, stop) + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
         lasting = np.flatnonzero(self.system.lasting_rebounds[: self.system.nc]).tolist()
-        names = ", ".join(repr(self.transitions.reports.names[i]) for i in lasting)
-        said += f"; {names} {LASTING_REBOUNDS}; smaller tolerances follow them" if lasting else ""
+        said += f"; {self._names(lasting)} {LASTING_REBOUNDS}; smaller tolerances follow them" if lasting else ""
+        late = sorted(self.transitions.slips_late)
+        said += f"; {self._names(late)} {SLIPS_LATE}" if late else ""
         said += self._left_behind(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
+
+    def _names(self, contacts: list[int]) -> str:
+        return ", ".join(repr(self.transitions.reports.names[c]) for c in contacts)
 
     def _left_behind(self, t: float) -> str:
         system, nc, opened = self.system, self.system.nc, self.transitions.open

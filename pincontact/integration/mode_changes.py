@@ -400,9 +400,9 @@ class ModeChanges:
         self.rk.evaluate(t)
         return False
 
-    def look_ahead(self, t: float) -> list[int]:
-        """The closed contacts that open as soon as the accepted state has moved, however little: those of redundant
-        ones that are kept closed by no forces within bounds once their constraints are independent.
+    def look_ahead(self, t: float) -> tuple[list[int], list[int]]:
+        """The closed contacts that open, and those that slip, as soon as the accepted state has moved, however little:
+        those of redundant ones that are held by no forces within bounds once their constraints are independent.
 
         Feet under upright legs, say, hold a body together, up to round-off, until it has moved enough for their
         constraints to show as the independent ones that they are at once. Which of them leave then does not depend on
@@ -410,10 +410,10 @@ class ModeChanges:
         """
         system, rk, modes = self.system, self.rk, self.modes
         if not self._is_redundant() or rk.evaluate_start(t) > EVENT:
-            return []
+            return [], []
         speed, rate = float(np.abs(system.v).max()), float(np.abs(system.acceleration).max())
         if not max(speed, rate) > 0.0:
-            return []
+            return [], []
         # half an `_AHEAD` each from both
         h = 2.0 * _AHEAD / (speed + math.sqrt(speed * speed + 2.0 * rate * _AHEAD))
         integers, limits, numbers = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
@@ -423,15 +423,17 @@ class ModeChanges:
         system.put_state(system.stage_state, moved, 0.0, system.location[: system.nc])
         rk.load(system.stage_state)
         system.v[:] = v + change
-        status, opened = rk.evaluate(t), []
+        status, opened, slipping = rk.evaluate(t), [], []
         if (status <= EVENT or status == NO_FORCE) and int(system.counters["row_rank"]) > rank:
             decision = modes.let_slide(t, rk.evaluate, h)
-            opened = decision.opened if decision.status <= EVENT else []
+            if decision.status <= EVENT:
+                slips = (system.modes == SLIPPING) & (integers[: system.nc, MODE] == STICK)
+                opened, slipping = decision.opened, np.flatnonzero(slips).tolist()
         system.contact_int[:], system.joint_int[:], system.contact_real[:] = integers, limits, numbers
         modes.take_back(forces)
         rk.load(system.state)
         rk.evaluate_start(t)
-        return opened
+        return opened, slipping
 
     def evaluate_accepted(self, t: float) -> None:
         """Load the accepted state and evaluate it in the present modes."""

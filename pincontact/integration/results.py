@@ -29,6 +29,11 @@ LASTING_REBOUNDS = (
     "bounce on without getting lower, by less than gaps are known, which is left out and may change the motion"
 )
 
+# And of slips that begin as soon as rows of contacts are independent, and are found when that shows.
+SLIPS_LATE = (
+    "begin to slip as constraints become independent, which shows late; errors are larger than tolerances allow"
+)
+
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open contact may go, or has gone,
 # through what is near; the bodies of a closed one touch elsewhere, too; a motion has moved bodies that touch by a

@@ -73,6 +73,8 @@ class Transitions:
         self.changes = ModeChanges(rk, self.modes, self.reports, self.joints)
         self.onset = SlipOnset(self.changes, self.open, self.penetration.depths, span)
         self.impacts = Impacts(self.onset, self.penetration, restitution)
+        # contacts that slip as soon as anything moves, and stick where modes were decided
+        self.slips_late: set[int] = set()
         # closed contacts of the initial state that come in
         self._striking: list[int] = []
         # when redundant forces were chosen anew last, and for which contacts
@@ -115,18 +117,18 @@ class Transitions:
     def _open_ahead(self, t: float) -> None:
         """Open the contacts of the accepted state that open as soon as it has moved."""
         changes, integers, limits = self.changes, self.system.contact_int.copy(), self.system.joint_int.copy()
-        opened = changes.look_ahead(t)
-        if not opened:
-            return
-        self.system.contact_int[opened, MODE] = FREE
-        try:
-            changes.update_modes(t, changes.sticking())
-        except Stop:
-            self.system.contact_int[:], self.system.joint_int[:] = integers, limits
-            changes.evaluate_accepted(t)
-            return
+        opened, slipping = changes.look_ahead(t)
+        if opened:
+            self.system.contact_int[opened, MODE] = FREE
+            try:
+                changes.update_modes(t, changes.sticking())
+            except Stop:
+                self.system.contact_int[:], self.system.joint_int[:] = integers, limits
+                changes.evaluate_accepted(t)
+                opened = []
         for c in opened:
             self.reports.announce(t, c, "separate")
+        self.slips_late.update(c for c in slipping if self.system.contact_int[c, MODE] == STICK)
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""

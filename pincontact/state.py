@@ -496,6 +496,12 @@ def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: fl
             f"{limit:.3g} m that is corrected (max_gap); {_cure(contact, found, chosen, limit)}",
             chosen.gap,
         )
+    if not (is_free or contact.bilateral) and side * chosen.side < 0:
+        raise NoContactError(
+            f"contact {contact.name!r}: {pair} touch from the other side: with side={side:+d} one would be inside the "
+            f"other around that point; add_contact takes side={chosen.side:+d}",
+            chosen.gap,
+        )
     return chosen
 
 

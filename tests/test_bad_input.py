@@ -590,3 +590,28 @@ def test_every_error_is_a_contact_error():
         found = getattr(pc, name)
         if isinstance(found, type) and issubclass(found, Exception):
             assert issubclass(found, pc.ContactError), name
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_side_on_which_bodies_would_be_inside_each_other_is_refused(seed):
+    """Of circles that touch from outside, or from inside, one side can be meant: the other one was taken, and a body
+    went through the other one."""
+    rng = np.random.default_rng(seed)
+    inside, angle = bool(seed % 2), rng.uniform(0.0, 2.0 * np.pi)
+    large, small = rng.uniform(0.5, 2.0), rng.uniform(0.1, 0.4)
+    distance = large - small if inside else large + small
+    right = -1 if inside else 1
+    for side in (-1, 1):
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "planar")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("wheel", joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        wheel, ring = scene.add_contour("wheel", pc.Circle(small), "wheel"), scene.add_contour("ring", pc.Circle(large))
+        scene.add_contact("touch", wheel, ring, side=side, location=(angle if inside else angle + np.pi, angle))
+        q = [distance * np.cos(angle), distance * np.sin(angle), 1.0, 0.0]
+        if side == right:
+            assert abs(scene.initial_state(q, np.zeros(3)).q[0] - q[0]) < 1e-12
+        else:
+            with pytest.raises(pc.NoContactError, match=re.escape(f"takes side={right:+d}")):
+                scene.initial_state(q, np.zeros(3))

@@ -99,6 +99,28 @@ def slides(parts: dict[str, tuple[float, float]], yaw: float, speed: float, spin
     return y[:3], least
 
 
+def test_feet_that_come_over_at_one_time():
+    parts = {"A": (-50.0, 0.0), "B": (0.0, 50.0)}
+    expected, _ = slides(parts, 0.0, 3.0, 0.0, 0.6)
+    scene, start = sled(parts, 0.0, 3.0, 0.0, SIX_FEET, LOW)
+    run = pc.simulate(scene, start, 0.6)
+    assert run.status == 0, run.message
+    for kind, names in (("edge", [f"A{i}" for i in range(6)]), ("touch", [f"B{i}" for i in range(6)])):
+        assert sorted(event.contact for event in run.events if event.kind == kind) == names
+    np.testing.assert_allclose(ends_at(run.q[-1]), expected, rtol=0.0, atol=1e-9)
+
+
+def test_feet_that_come_over_lower_at_one_time():
+    """The body tips a little over a gap. Its second front foot went below the other table, and it turned round."""
+    scene, start = sled({"A": (-50.0, 0.0), "B": (0.03, 50.0)}, 0.0, 3.0, 0.0, SIX_FEET, LOW)
+    run = pc.simulate(scene, start, 0.6)
+    assert run.status == 0, run.message
+    # it is symmetric, up to round-off
+    np.testing.assert_allclose(ends_at(run.q[-1])[1:], 0.0, atol=1e-12)
+    times = [event.time for event in run.events if event.contact in ("B4", "B5") and event.kind == "touch"]
+    assert times[0] == times[1]
+
+
 @pytest.mark.parametrize("seed", [0, 3, 5, 7, 13, 15])
 @pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 2e-4}], ids=["default", "Moreau"])
 def test_feet_that_hang_over_a_gap_carry_behind_it(seed, options):

@@ -120,12 +120,11 @@ def at_end(system: RunSystem) -> float:
     return _AT_ONCE_ROUND_OFF * _round_off(system)
 
 
-def is_over(system: RunSystem, c: int) -> bool:
-    """Whether the points of contact c are inside the contours' domains in the last evaluation, or at an end and about
-    to come in."""
-    domain = float(system.contact_real[c, DOMAIN])
-    if abs(domain) > at_end(system):
-        return domain > 0.0
+def comes_in(system: RunSystem, c: int) -> bool:
+    """Whether the points of contact c are at an end of the contours' domains in the last evaluation, and about to come
+    in."""
+    if abs(float(system.contact_real[c, DOMAIN])) > at_end(system):
+        return False
     rate, least = 0.0, math.inf
     for i, (u, moves) in enumerate(zip(system.location[c].tolist(), system.rates[c].tolist())):
         side = 2 * c + i // 2
@@ -136,6 +135,11 @@ def is_over(system: RunSystem, c: int) -> bool:
         if min(u - low, high - u) < least:
             least, rate = min(u - low, high - u), moves if u - low < high - u else -moves
     return rate > 0.0
+
+
+def deepest_at_end(system: RunSystem, c: int) -> float:
+    """How far in m bodies may be inside each other where contact c comes into a domain, and touch there."""
+    return max(float(system.gap_accuracy[c]), APART_AT_END * float(system.contact_real[c, LENGTH]))
 
 
 def _round_off(system: RunSystem) -> float:

@@ -26,7 +26,6 @@ from ..layout import (
     FREE,
     GAP_EVENT,
     LEFT_ROW,
-    LENGTH,
     LOOK_ROW,
     MODE,
     OK,
@@ -35,7 +34,7 @@ from ..layout import (
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import APART_AT_END, at_end, gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
+from .accuracy import at_end, deepest_at_end, gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
 from .crossings import CROSSES, ENDS, LEFT_OUT, MINIMUM, NOT_SOUGHT, UNKNOWN, find_crossings, find_minima
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
@@ -134,12 +133,14 @@ class EventLocator:
 
         until, least = 1.0 if crossing is None else crossing.theta, at_end(system)
         before = distances(0.0)
-        for c in np.flatnonzero(level & (before <= least) & (distances(until) > least)).tolist():
+        for c in np.flatnonzero(level & (before <= least)).tolist():
+            if not distances(until)[c] > least:
+                continue
             theta = 0.0
             if before[c] < 0.0:
                 theta = brentq(lambda share, c=c: distances(share)[c], 0.0, until, xtol=_REFINED)
             distances(theta)
-            if theta < until and abs(gap_rate(system, c)) <= rest_speed(system):
+            if abs(gap_rate(system, c)) <= rest_speed(system):
                 until, crossing = theta, Crossing(theta, c, DOMAIN_EVENT, math.nan, theta)
         return crossing
 
@@ -214,13 +215,11 @@ class EventLocator:
         ends = bool(system.scan_status[LOOK_ROW] <= EVENT)
         if kind == GAP_EVENT:
             ends = ends and domain >= 0.0
-        elif ends:
-            touching = max(system.gap_accuracy.item(c), APART_AT_END * system.contact_real.item(c, LENGTH))
-            if gap < -max(touching, system.slack.item(c, kind)):
-                # what comes through its gap is no matter of domains
-                ends = domain < -gap <= system.contact_real.item(c, OVERLAP)
-                if ends:
-                    self._open.overlapping.add(c)
+        elif ends and gap < -max(deepest_at_end(system, c), system.slack.item(c, kind)):
+            # what comes through its gap is no matter of domains
+            ends = domain < -gap <= system.contact_real.item(c, OVERLAP)
+            if ends:
+                self._open.overlapping.add(c)
         if not ends:
             self._open.passed.add(c)
         return ends

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, UNILATERAL
-from .accuracy import gap_rate, gap_resolution, gaps_at_once, is_over
+from .accuracy import at_end, comes_in, deepest_at_end, gap_rate, gap_resolution, gaps_at_once
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -58,9 +58,12 @@ class Penetration:
         return self.resolution(c) + float(self.depths[c])
 
     def touches(self, c: int) -> bool:
-        """Whether an open contact touches now as far as instants are told apart, between points inside both domains."""
-        system = self._rk.system
-        return bool(abs(system.gaps[c, 0]) <= gaps_at_once(system)[c]) and is_over(system, c)
+        """Whether an open contact touches now as far as instants are told apart, between points inside both domains, or
+        about to be."""
+        system, gap, least = self._rk.system, float(self._rk.system.gaps[c, 0]), float(gaps_at_once(self._rk.system)[c])
+        if comes_in(system, c):
+            return -max(least, deepest_at_end(system, c)) <= gap <= least
+        return abs(gap) <= least and bool(system.contact_real[c, DOMAIN] > at_end(system))
 
     def has_stayed_closed(self, c: int) -> bool:
         """Whether contact c has opened, and the gap is and was zero within its error since, the last trial step

@@ -74,7 +74,7 @@ class Contact:
     location : (u_first, u_second), optional
         The user's guess of the location parameters, in m or rad.
     side : {1, -1}, optional
-        On which side of e_3 body 1 lies; None is decided by the initial state, or where it first comes over body 2.
+        On which side of e_3 body 1 lies; None is decided by the initial state, and wherever it comes over body 2.
     restitution : float
         Newton's coefficient, 0 to 1.
     """

@@ -103,8 +103,8 @@ CALLBACK = record(
     "model_joints",
 )
 
-# contact_int; from MODE to BESIDE what a State keeps of it. BESIDE: an open contact whose body has not come over
-# the other contour yet, but was beside its ends: where its side is not given, that may still change
+# contact_int; from MODE to BESIDE what a State keeps of it. BESIDE: an open contact whose body is beside the
+# ends of the other contour, and has not come over it since: where its side is not given, that may change
 (
     PATTERN,
     K1,

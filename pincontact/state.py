@@ -39,6 +39,7 @@ from .layout import (
     DETERMINANT_SIGN,
     FREE,
     FRICTIONLESS,
+    K1,
     LENGTH,
     MASS_NOT_POSITIVE,
     MODE,
@@ -412,7 +413,7 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         side = side or told
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
-        found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess))
+        found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess) or found)
     is_nowhere = not found and side != 0 and is_searched(single, 0) and _are_apart(single, t)
     return _Found(found, side, not is_over, is_nowhere)
 
@@ -439,7 +440,8 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    if every and not found:
+    # a point may be behind a contour, and come to its front
+    if every and not (found or single.contact_int[0, K1] == 0):
         raise SingularContactError(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
             f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",

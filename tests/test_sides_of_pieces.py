@@ -1,5 +1,5 @@
-"""Tracks of pieces whose sides nobody gives: a body is on that side of a piece on which it first comes over it,
-whichever way the piece runs, and moves as on a track of which all sides are given."""
+"""Tracks of pieces whose sides nobody gives: a body is on that side of a piece on which it comes over it, whichever way
+the piece runs, and moves as on a track of which all sides are given."""
 
 import math
 import warnings
@@ -148,7 +148,8 @@ def test_a_wheel_over_a_hill_lands_behind_it(method):
     assert ("down", "touch") in [(e.contact, e.kind) for e in run.events]
     assert run.q[-1] == pytest.approx(told.q[-1], abs=1e-6)
     end = run.state(-1).discrete[1]
-    assert (end[SIDE], end[BESIDE]) == (-1, 0)
+    # it has gone over the other end
+    assert (end[SIDE], end[BESIDE]) == (-1, 1)
     for i in (0, len(run.t) // 4, len(run.t) // 2):
         rest = pc.simulate(scene, run.state(i), 1.0 - run.t[i], **METHODS[method])
         assert rest.q[-1] == pytest.approx(run.q[-1], abs=1e-6)
@@ -215,3 +216,58 @@ def test_files_without_the_last_column_are_read(tmp_path):
     state = pc.Trajectory.load(file, scene).state(-1)
     assert (state.discrete[:, BESIDE] == 0).all()
     assert pc.simulate(scene, state, 0.1).status == 0
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "dt": 1e-3}], ids=["events", "steps"])
+@pytest.mark.parametrize("start", [(0.7, 0.5, 2.5, 0.0), (0.5, 0.21, 2.5, 1.0), (0.3, 0.15, 3.5, 1.2)])
+def test_a_body_that_has_gone_round_an_end_meets_the_other_side(start, options):
+    """A disk that a spring draws over a saw tooth and back comes to rest at the tooth's face, which it starts behind:
+    it went through it, as it was behind it once."""
+    radius, model, joint = 0.05, pin.Model(), 0
+    for name, kind in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    scene.add_contour("disk", pc.Circle(radius), "body", placement=pin.SE3(UPRIGHT, np.zeros(3)))
+    corners = {"ramp": ((1.0, 0.3), (0.0, 0.0)), "face": ((1.0, 0.0), (1.0, 0.3)), "floor": ((3.0, 0.0), (1.0, 0.0))}
+    for name, ((x, z), (x2, z2)) in corners.items():
+        place = pin.SE3(along(math.atan2(z2 - z, x2 - x)), np.array([x, 0.0, z]))
+        scene.add_contour(name, pc.Line((0.0, math.hypot(x2 - x, z2 - z))), placement=place)
+        scene.add_contact(name, "disk", name)
+    scene.add_contour("tip", pc.Point(), placement=pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.3])))
+    scene.add_contact("tip", "disk", "tip")
+    x, z, *v = start
+    state = scene.initial_state([x, z], v, free=list(scene.contacts))
+    run = pc.simulate(
+        scene, state, 3.0, control=lambda t, q, v: np.array([4.0 * (0.5 - q[0]) - 0.3 * v[0], 0.0]), **options
+    )
+    assert run.status == 0, run.message
+    inside = (run.q[:, 0] > 0.0) & (run.q[:, 0] < 1.0) & (run.q[:, 1] > 0.0) & (run.q[:, 1] < 0.3 * run.q[:, 0])
+    assert not inside.any()
+    np.testing.assert_allclose(run.q[-1], [1.0 + radius, radius], atol=1e-6)
+
+
+def test_a_point_may_start_behind_some_faces_of_a_body():
+    """A point that falls onto a block of lines is behind its other faces, which was refused."""
+    model, half = pin.Model(), 0.1
+    joint = 0
+    for name, kind in (("x", pin.JointModelPX()), ("y", pin.JointModelPY())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia(0.1, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    model.gravity = pin.Motion(np.array([0.0, -9.81, 0.0]), np.zeros(3))
+    for side in (None, 1):
+        scene = pc.Scene(model)
+        scene.add_contour("point", pc.Point(), "body")
+        for k in range(4):
+            turn = pin.utils.rotate("z", 0.5 * k * math.pi)
+            placement = pin.SE3(turn, turn @ np.array([0.0, -half, 0.0]))
+            scene.add_contour(f"face {k}", pc.Line((-half, half)), placement=placement)
+            scene.add_contact(f"face {k}", "point", f"face {k}", side=side)
+        state = scene.initial_state([0.03, 0.3], np.zeros(2), free=list(scene.contacts))
+        run = pc.simulate(scene, state, 0.5)
+        assert run.status == 0, run.message
+        assert [(event.contact, event.kind) for event in run.events] == [("face 2", "touch")]
+        assert abs(run.events[0].time - math.sqrt(2.0 * 0.2 / 9.81)) < 1e-9
+        np.testing.assert_allclose(run.q[-1], [0.03, half], atol=1e-9)

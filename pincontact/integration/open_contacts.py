@@ -97,6 +97,7 @@ class OpenContacts:
         self._ending: list[int] = []
         self._hold = math.inf
         self._beside: dict[int, Beside] = {}
+        self._two_sided: dict[int, bool] = {}
         self._free: list[bool] | None = None if self._searched else [False] * system.nc
         self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
@@ -138,6 +139,10 @@ class OpenContacts:
         bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
         beside until bodies are over each other, or have touched."""
         integers = self.system.contact_int
+        for c in self._list():
+            # what comes over an end again may do so on the other side
+            if self.system.contact_real[c, DOMAIN] < 0.0 and self._takes_sides(c):
+                integers[c, BESIDE] = 1
         self._ending, self._hold = self.at_ends(), math.inf
         for c in self._ending:
             holds = self._side_holds(c) if c in self._beside else 0.0
@@ -151,6 +156,12 @@ class OpenContacts:
                 integers[c, BESIDE] = not is_over
                 holds = self._side_holds(c)
             self._hold = min(self._hold, holds)
+
+    def _takes_sides(self, c: int) -> bool:
+        """Whether contact c is on the side on which its body comes over a piece, as none is given."""
+        if c not in self._two_sided:
+            self._two_sided[c] = self.system.contacts[c].side is None and Beside.is_seen(self.system, c)
+        return self._two_sided[c]
 
     def at_ends(self) -> list[int]:
         """Contacts whose bodies have not been over each other yet."""

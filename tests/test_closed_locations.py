@@ -85,7 +85,7 @@ def test_extreme_points_along_the_normal_of_a_plane(contour, branch):
             start = rng.uniform(-9.0, 9.0, 4)
             location = start.copy()
             kind, shape = contour.kind, contour.shape_row()
-            assert round_on_plane(kind, chart, shape, one, two, branch, location, scratch())
+            assert round_on_plane(kind, chart, shape, one, two, 2, branch, location, scratch())
             rows = contour.evaluate(location[:k], chart=chart)
             assert rows[0] @ normal >= every.max()
             # nothing changes to first order
@@ -101,7 +101,7 @@ def test_a_disk_that_lies_flat_has_no_extreme_point(contour, turns):
         one = np.concatenate([pin.exp3(np.array(tilt)), np.zeros((5, 3))])
         two = np.concatenate([np.eye(3), np.zeros((5, 3))])
         location = np.full(4, 7.0)
-        found = round_on_plane(contour.kind, 0, contour.shape_row(), one, two, 1.0, location, scratch())
+        found = round_on_plane(contour.kind, 0, contour.shape_row(), one, two, 2, 1.0, location, scratch())
         return bool(found), location
 
     found, location = located([0.0, 0.0, 0.5 * turns])
@@ -118,7 +118,7 @@ def test_the_foot_of_a_point_on_a_plane():
     for seed in range(5):
         ground, point = frame(seed, rng.normal(size=3)), rng.normal(size=3)
         location = np.array([5.0, 6.0, np.nan, np.nan])
-        point_to_plane(point, ground, location)
+        point_to_plane(point, ground, 2, location)
         assert location[:2].tolist() == [5.0, 6.0]
         foot = ground[:3] @ [*location[2:], 0.0] + ground[3]
         # what is left is along the normal
@@ -161,3 +161,33 @@ def test_distances_to_the_ends_of_a_domain():
     for v, wanted in (([-0.9, 5.0], 0.1), ([1.8, 5.0], 0.2), ([0.5, 3.3], 0.3), ([0.5, 6.6], 0.4), ([0.5, 7.5], -0.5)):
         assert distance_to_ends(2, np.array(v), 0, ends, 9.0) == pytest.approx(wanted, rel=1e-12)
     assert distance_to_ends(2, u, 0, ends, 0.01) == 0.01
+
+
+@pytest.mark.parametrize("shape", [pc.Circle(0.3), pc.Ellipse(0.5, 0.2), pc.Point()], ids=lambda c: c.name)
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_line_is_met_as_a_traced_one_is(shape, side):
+    """A motion over a line in closed form, and over the same line as a formula, whose contact is found by iteration."""
+    runs = []
+    for line in (pc.Line(), pc.ParametricCurve(lambda u: (u, 0.0 * u, 0.0 * u), (-9.0, 9.0))):
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "planar")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.04 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+        # e_3 of a line is -y
+        model.gravity = pin.Motion(np.array([1.0, 9.0 * side, 0.0]), np.zeros(3))
+        scene = pc.Scene(model)
+        # the point is off the centre of mass
+        at = pin.SE3(np.eye(3), np.array([0.0, 0.1, 0.0]) * (shape.dimension == 0))
+        scene.add_contour("body", shape, "body", placement=at)
+        scene.add_contour("line", line)
+        scene.add_contact("c", "body", "line", pc.Coulomb(0.2), side=side, restitution=0.3)
+        state = scene.initial_state([0.1, -0.8 * side, math.cos(0.4), math.sin(0.4)], [0.5, 0.0, 1.0], free=["c"])
+        runs.append(pc.simulate(scene, state, 0.7))
+    one, two = runs
+    assert one.status == two.status == 0, (one.message, two.message)
+    assert any(event.kind == "touch" for event in one.events)
+    assert [event.kind for event in one.events] == [event.kind for event in two.events]
+    # tolerances of 1e-8, over impacts
+    np.testing.assert_allclose(one.q[-1], two.q[-1], atol=1e-6)
+    assert one.stats["newton"] == 0 and one.stats["closed_form"] > 0
+    assert two.stats["newton"] > 0 and two.stats["closed_form"] == 0

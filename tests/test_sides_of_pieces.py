@@ -103,6 +103,17 @@ def track(seed, in_space):
     return make
 
 
+def told_events(run):
+    """Contacts and kinds of events, without touches that end at once, as they may at a tangent joint."""
+    left = []
+    for event in run.events:
+        if event.kind == "separate" and left and left[-1].contact == event.contact and left[-1].time == event.time:
+            left.pop()
+        else:
+            left.append(event)
+    return [(event.contact, event.kind) for event in left]
+
+
 METHODS = {"events": {}, "steps": {"method": "Moreau", "dt": 2e-3}}
 
 
@@ -114,8 +125,7 @@ def test_tracks_of_which_no_side_is_given(seed, in_space):
     for name, options in METHODS.items():
         run, other = (pc.simulate(one, state, 1.2, **options) for one, state in ((scene, start), (told, told_start)))
         assert run.status == other.status == 0, (run.message, other.message)
-        events, others = ([(e.contact, e.kind) for e in one.events] for one in (run, other))
-        assert events == others
+        assert told_events(run) == told_events(other)
         # error control sees other steps; time stepping takes the same, but for rounding and what Newton's method leaves
         assert np.abs(run.q[-1] - other.q[-1]).max() < (1e-6 if name == "events" else 1e-8)
         decided, given = (one.state(-1).discrete for one in (run, other))

@@ -133,7 +133,9 @@ def locate_in_closed_form(system, c):
     found = True
     if form == ROUND_ON_PLANE:
         shape, branch = system.side_shape[one], float(integers[BRANCH])
-        found = round_on_plane(side1[KIND], side1[CHART], shape, frame1, frame2, branch, location, scratch)
+        found = round_on_plane(
+            side1[KIND], side1[CHART], shape, frame1, frame2, integers[K2], branch, location, scratch
+        )
     elif form != POINT_ON_PLANE:
         charts = (side1[CHART], system.side_int[two, CHART])
         found = nearest_on_sphere(form, charts, frame1, frame2, integers[BRANCH], location, scratch)
@@ -144,7 +146,7 @@ def locate_in_closed_form(system, c):
     if form in (POINT_ON_PLANE, ROUND_ON_PLANE):
         for i in range(3):
             scratch[0, i] = frame1[ORIGIN, i] + system.derivatives[one, 0, i]
-        point_to_plane(scratch[0], frame2, location)
+        point_to_plane(scratch[0], frame2, integers[K2], location)
     shape_in_world(system, c, 1)
     measure(system, c)
     return OK

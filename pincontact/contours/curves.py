@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import ContourError
 from ..jit import kernel
-from .base import ALL, ELLIPSE, TURN, Contour
+from .base import ALL, ELLIPSE, LINE, TURN, Contour
 from .checks import array, finite, in_space, interval, positive
 from .evaluation import contour_kernel
 
@@ -74,7 +74,7 @@ class Line(Contour):
 
     def __init__(self, domain: tuple[float, float] | None = None) -> None:
         low, high = ALL if domain is None else interval("Line", "domain", domain)
-        super().__init__(line, 1, domain=((low, high),), planar=True, size=0.5 * (high - low), lengths=True)
+        super().__init__(line, 1, domain=((low, high),), planar=True, size=0.5 * (high - low), kind=LINE, lengths=True)
 
 
 class Circle(Contour):

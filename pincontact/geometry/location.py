@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..contours.base import ELLIPSE, ELLIPSOID, PLANE, POINT, SPHERE
+from ..contours.base import ELLIPSE, ELLIPSOID, LINE, PLANE, POINT, SPHERE
 from ..jit import kernel
 from ..layout import K1, K2, LENGTH, PATTERN
 from .carriers import OMEGA, ORIGIN
@@ -24,6 +24,7 @@ NEWTON_STEP = 1e-8
 # Below this dimensionless determinant the point contact is taken as degenerate (line, area or double contact).
 SINGULAR_LIMIT = 1e-7
 
+# A line in the plane of motion is like a plane across that.
 NO_CLOSED_FORM, POINT_ON_PLANE, ROUND_ON_PLANE, POINT_ON_SPHERE, SPHERE_ON_SPHERE = range(5)
 # Solutions of each closed form, as the branch that names one.
 BRANCHES = {
@@ -34,11 +35,12 @@ BRANCHES = {
 }
 
 
-def closed_form(kind1: int, kind2: int) -> int:
-    """Which closed form gives the contact coordinates of two kinds of contours, if any."""
-    if kind2 == PLANE and kind1 == POINT:
+def closed_form(pattern: int, kind1: int, kind2: int) -> int:
+    """Which closed form gives the contact coordinates of two kinds of contours in a pattern, if any."""
+    is_flat = kind2 == PLANE or (kind2 == LINE and pattern == PLANAR)
+    if is_flat and kind1 == POINT:
         return POINT_ON_PLANE
-    if kind2 == PLANE and kind1 in (ELLIPSE, SPHERE, ELLIPSOID):
+    if is_flat and kind1 in (ELLIPSE, SPHERE, ELLIPSOID):
         return ROUND_ON_PLANE
     if kind2 == SPHERE and kind1 in (POINT, SPHERE):
         return POINT_ON_SPHERE if kind1 == POINT else SPHERE_ON_SPHERE
@@ -229,15 +231,15 @@ def unwrapped(angle, near):
 
 
 @kernel
-def round_on_plane(kind, chart, shape, frame1, frame2, branch, location, scratch):
-    """Location of a circle, ellipse, sphere or ellipsoid on a plane: its extreme point along the plane's normal.
+def round_on_plane(kind, chart, shape, frame1, frame2, k2, branch, location, scratch):
+    """Location of a circle, ellipse, sphere or ellipsoid on a plane, or a line: its extreme point along the normal.
 
     branch: +1 for the extreme point along +e_3, -1 along -e_3.
     Sets u_1; returns False where the direction is undefined (a disk that lies flat).
     """
     direction, local = scratch[0], scratch[1]
     for i in range(3):
-        direction[i] = branch * frame2[i, 2]
+        direction[i] = branch * (frame2[i, 2] if k2 == 2 else -frame2[i, 1])
     rotate_back(frame1[0:3], direction, local)
     # the parameter circle's or sphere's point is proportional to (a n_x, b n_y, c n_z)
     for i in range(3):
@@ -287,10 +289,11 @@ def nearest_on_sphere(form, charts, frame1, frame2, branch, location, scratch):
 
 
 @kernel
-def point_to_plane(point_w, frame2, location):
-    """Parameters of a plane nearest to a world point."""
+def point_to_plane(point_w, frame2, k2, location):
+    """Parameters of a plane, or a line, nearest to a world point."""
     x = point_w[0] - frame2[ORIGIN, 0]
     y = point_w[1] - frame2[ORIGIN, 1]
     z = point_w[2] - frame2[ORIGIN, 2]
     location[2] = frame2[0, 0] * x + frame2[1, 0] * y + frame2[2, 0] * z
-    location[3] = frame2[0, 1] * x + frame2[1, 1] * y + frame2[2, 1] * z
+    if k2 == 2:
+        location[3] = frame2[0, 1] * x + frame2[1, 1] * y + frame2[2, 1] * z

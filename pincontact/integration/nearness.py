@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..contours.base import F_T, F_TT, PLANE
+from ..contours.base import F_T, F_TT, LINE, PLANE
 from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched, least_whole
@@ -116,7 +116,7 @@ class Nearness:
         # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
         # they may touch
         self.is_plain = self.search is None and math.isinf(self._far) and not self.is_driven
-        numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
+        numbers[FLAT] = float(self.is_plain and two.kind in (LINE, PLANE))
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
         self.rotation: np.ndarray | None = None

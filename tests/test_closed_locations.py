@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from calling import from_python
 
+import pincontact
 import pincontact.contours as pc
 from pincontact.constraints import kinematics
 from pincontact.geometry import location as parts
@@ -175,14 +176,14 @@ def test_a_line_is_met_as_a_traced_one_is(shape, side):
         model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
         # e_3 of a line is -y
         model.gravity = pin.Motion(np.array([1.0, 9.0 * side, 0.0]), np.zeros(3))
-        scene = pc.Scene(model)
+        scene = pincontact.Scene(model)
         # the point is off the centre of mass
         at = pin.SE3(np.eye(3), np.array([0.0, 0.1, 0.0]) * (shape.dimension == 0))
         scene.add_contour("body", shape, "body", placement=at)
         scene.add_contour("line", line)
-        scene.add_contact("c", "body", "line", pc.Coulomb(0.2), side=side, restitution=0.3)
+        scene.add_contact("c", "body", "line", pincontact.Coulomb(0.2), side=side, restitution=0.3)
         state = scene.initial_state([0.1, -0.8 * side, math.cos(0.4), math.sin(0.4)], [0.5, 0.0, 1.0], free=["c"])
-        runs.append(pc.simulate(scene, state, 0.7))
+        runs.append(pincontact.simulate(scene, state, 0.7))
     one, two = runs
     assert one.status == two.status == 0, (one.message, two.message)
     assert any(event.kind == "touch" for event in one.events)

@@ -12,6 +12,8 @@ from random_scenes import axis, placement
 from scipy.special import ellipj, ellipk
 
 import pincontact as pc
+from pincontact.analysis.instant import Instant
+from pincontact.analysis.symmetry import find_symmetries
 from pincontact.dynamics.joints import END_SLACK, JointLock, joint_limits, joint_locks
 
 GRAVITY = 9.81
@@ -340,6 +342,25 @@ def test_a_locked_wheel_has_no_spin_to_follow():
     assert found.state.v[1] == 0.0 and found.state.q[2] == 0.25
     motion = pc.linearize(scene, found.state)
     assert motion.names == ["q:table", "v:table"] and motion.symmetries.shape == (2, 1)
+
+
+def test_a_locked_rotor_is_no_gyroscope():
+    """A ball that is round with its rotor, which is locked, spins about any axis; one whose rotor turns does not."""
+    model = pin.Model()
+    ball = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(ball, pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.13, 0.13])), pin.SE3.Identity())
+    rotor = model.addJoint(ball, pin.JointModelRX(), pin.SE3.Identity(), "rotor")
+    model.appendBodyToJoint(rotor, pin.Inertia(0.5, np.zeros(3), np.diag([0.05, 0.02, 0.02])), pin.SE3.Identity())
+    counts = []
+    for locked in (False, True):
+        if locked:
+            lock(model, "rotor", 0.0)
+        scene = pc.Scene(model)
+        scene.model.gravity.linear = np.zeros(3)
+        state = scene.initial_state(pin.neutral(model), [0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0 if locked else 2.0])
+        counts.append(find_symmetries(Instant(scene, state)).count)
+    # places, turns of the world and of the ball, of which one is left beside the rotor, that of the rotor
+    assert counts == [3 + 3 + 1 + 1, 3 + 3 + 3]
 
 
 # ------------------------------------------------------------------------------------------------- starts and results

@@ -218,7 +218,7 @@ class Instant:
     def varied(self, change: np.ndarray, q: np.ndarray | None = None, v: np.ndarray | None = None) -> np.ndarray:
         """Accelerations where a change (2 nv,) has moved (q, v), by default the state's own."""
         dq, dv = np.split(change, 2)
-        return self.evaluate(self.moved(dq, q), (self.v if v is None else v) + dv * self.system.moves)
+        return self.evaluate(self.moved(dq, q), (self.v if v is None else v) + dv)
 
     def step_along(self, change: np.ndarray, q: np.ndarray | None = None, v: np.ndarray | None = None) -> float:
         """First step of differences along a change (2 nv,) of the configuration, in m and rad, and of the velocity,

@@ -266,27 +266,53 @@ def test_inverse_dynamics_of_random_robots(seed):
     states = pair.states(v, max_gap=0.01)
     model, kept = pair.locked.model, np.array(pair.kept_v)
     gone = [k for k in range(model.nv) if k not in pair.kept_v]
-    for options in ({}, {"cones": True, "effort_limits": True, "unreachable": "nearest"}):
+    # motors of their own, and such that drive all joints, locked ones, too
+    alone, together = np.eye(model.nv), np.eye(model.nv) + 0.2 * rng.normal(size=(model.nv, model.nv))
+    limits = {"cones": True, "effort_limits": True, "unreachable": "nearest"}
+    for matrix, options in ((alone, {}), (alone, limits), (together, {}), (together, limits)):
         acceleration = np.zeros(model.nv)
-        if "cones" in options:
+        if options:
             acceleration[pair.kept_v] = rng.normal(size=kept.size)
-        full, welded = acceleration, acceleration[pair.kept_v]
         found, expected = (
-            pc.inverse_dynamics(state.scene, state, a, **(options | {"actuation": np.eye(a.size)}))
-            for state, a in zip(states, (full, welded))
+            pc.inverse_dynamics(state.scene, state, acceleration[k], actuation=matrix[k], **options)
+            for state, k in zip(states, (slice(None), kept))
         )
         size = max(1.0, float(np.abs(expected.efforts).max()))
         tolerance = (1e-5 if options else 1e-8) * size
-        np.testing.assert_allclose(found.tau[pair.kept_v], expected.tau, rtol=0.0, atol=tolerance)
+        np.testing.assert_allclose(found.efforts, expected.efforts, rtol=0.0, atol=tolerance)
+        np.testing.assert_allclose(found.tau[kept], expected.tau, rtol=0.0, atol=tolerance)
         for name in ("c0", "c1"):
             np.testing.assert_allclose(found.forces[name], expected.forces[name], rtol=0.0, atol=tolerance)
         assert found.missed == pytest.approx(expected.missed, abs=1e-5) and not found.acceleration[gone].any()
-        assert np.abs(found.tau[gone]).max() < 1e-12 * size
+        assert found.residual < 1e-8 * size
         outside = pc.external_forces(pair.locked, states[0], forces=found.forces)
         needed = pin.rnea(model, model.createData(), states[0].q, v, found.acceleration, outside)
         carried = needed - found.tau
         np.testing.assert_allclose(found.joint_forces[gone], carried[gone], rtol=0.0, atol=1e-9 * size)
         np.testing.assert_allclose(found.joint_forces, carried, rtol=0.0, atol=10.0 * tolerance)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 6, 8, 11])
+def test_certificates_do_not_move_what_is_locked(seed):
+    """Why weak motors cannot do what is wanted: a virtual velocity of the welded robot."""
+    pair = random_pair(seed)
+    for scene in (pair.locked, pair.welded):
+        scene.model.effortLimit[:] = 3.0
+    acceleration = 30.0 * np.random.default_rng(seed).normal(size=pair.locked.model.nv)
+    states = pair.states(np.zeros(acceleration.size), max_gap=0.01)
+
+    def certificate(state, a):
+        options = {"cones": True, "effort_limits": True, "unreachable": "nearest"}
+        try:
+            return pc.inverse_dynamics(state.scene, state, a, **options).certificate
+        except pc.InfeasibleError as error:
+            return error.certificate
+
+    found, expected = certificate(states[0], acceleration), certificate(states[1], acceleration[pair.kept_v])
+    assert np.abs(np.delete(found.velocity, pair.kept_v)).max() < 1e-12 and found.joints == expected.joints
+    np.testing.assert_allclose(found.velocity[pair.kept_v], expected.velocity, rtol=0.0, atol=1e-5)
+    assert found.wanted == pytest.approx(expected.wanted, rel=1e-4) and found.wanted < found.least
+    assert found.least == pytest.approx(expected.least, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -324,6 +350,32 @@ def test_equilibria_and_linear_motions_of_random_robots(seed):
         rtol=0.0,
         atol=1e-5 * max(1.0, abs(two.A).max()),
     )
+
+
+def test_what_is_locked_is_no_unknown():
+    """At rest the centre of mass hangs below the shoulder; on a turntable it swings out until gravity balances that."""
+    hanging = -math.atan2(-masses(0.0)[:, 0].mean(), -masses(0.0)[:, 1].mean())
+    found = pc.find_equilibrium(pc.Scene(double_pendulum()), [hanging + 0.3, BEND])
+    np.testing.assert_allclose(found.state.q, [hanging, BEND], rtol=0.0, atol=1e-10)
+    model = pin.Model()
+    table = model.addJoint(0, pin.JointModelRUBZ(), pin.SE3.Identity(), "table")
+    model.appendBodyToJoint(table, pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.2])), pin.SE3.Identity())
+    model = pin.appendModel(
+        model,
+        double_pendulum(),
+        model.addFrame(pin.Frame("top", table, pin.SE3.Identity(), pin.FrameType.OP_FRAME)),
+        pin.SE3.Identity(),
+    )
+    lock(model, "elbow", BEND)
+    scene = pc.Scene(model)
+    found = pc.find_steady_motion(
+        scene, [1.0, 0.0, hanging - 0.5, BEND], [6.0, 0.0, 0.0], conditions=lambda q, v: [v[0] - 6.0]
+    )
+    q, v = found.state.q, found.state.v
+    assert q[3] == BEND and v[2] == 0.0 and v[0] == pytest.approx(6.0, abs=1e-9) and abs(q[2] - hanging) > 0.05
+    at = masses(q[2])
+    # about the shoulder, by a unit of mass: weight against what turning makes
+    assert 36.0 * float(at[:, 0] @ at[:, 1]) == pytest.approx(-GRAVITY * float(at[:, 0].sum()), abs=1e-8)
 
 
 def test_a_locked_wheel_has_no_spin_to_follow():
@@ -421,6 +473,14 @@ def test_velocities_of_starts_are_corrected_in_the_mass_metric():
     mass = np.triu(mass) + np.triu(mass, 1).T
     assert state.v[1] == 0.0 and state.correction.dv == pytest.approx(np.abs(state.v - v).max(), rel=1e-12)
     assert (mass @ (state.v - v))[0] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_velocities_of_locked_joints_start_as_zeros(seed):
+    pair = random_pair(seed)
+    v = np.random.default_rng(seed).normal(size=pair.locked.model.nv)
+    state = pair.locked.initial_state(pair.q, v, max_gap=0.01)
+    assert not np.delete(state.v, pair.kept_v).any() and state.v.any()
 
 
 def test_runs_are_saved_and_go_on(tmp_path):

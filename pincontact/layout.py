@@ -280,13 +280,15 @@ SYSTEM = Layout(
     callback=(CALLBACK,),
     # Pinocchio's data, read in place
     mass=(REALS, "given", "given"),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
-    parents=(INTEGERS, "some_nv"),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
+    # (nv,): tree of the mass matrix without what is locked, see `linalg.factorize_tree`
+    parents=(INTEGERS, "some_nv"),
     nle=(REALS, "given"),  # (nv,) bias forces
     jacobian=(REALS, "given", 6),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
     joint_addresses=(INTEGERS, "joints", 4),  # (njoints, 4): rotation, translation, v, a_gf
     gravity=(REALS, 3),  # (3,)
     tau=(REALS, "nv"),  # (nv,) joint torques of the user
     damping=(REALS, "nv"),  # (nv,) viscous joint damping of the model
+    moves=(REALS, "nv"),  # (nv,) 1, but 0 for coordinates that are locked
     # joints: how q' follows from v
     joint_table=(INTEGERS, "blocks", 4),  # (nblocks, 4): kind, index in q, index in v, coordinates
     # contacts
@@ -306,7 +308,7 @@ SYSTEM = Layout(
         MOTION_SIZE,
     ),  # (2 nc, 24) prescribed placement relative to the base, and its derivatives
     side_motion_parameters=(REALS, "sides", MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
-    support=(INTEGERS, "sides", "some_nv"),  # (2 nc, nv): velocity coordinates that move the side's joint
+    support=(INTEGERS, "sides", "some_nv"),  # (2 nc, nv): velocity coordinates, not locked, that move the side's joint
     # results of one evaluation
     frames=(REALS, "sides", 8, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
     derivatives=(REALS, "item_sides", DERIVATIVE_ROWS, 3),  # (2 nc, 10, 3): the contour's, world axes, from its origin

@@ -563,7 +563,8 @@ class Scene(Assembly):
         Raises
         ------
         StateError
-            For bad sizes or numbers and for velocity constraints that contradict each other.
+            For bad sizes or numbers, for a locked joint (its limits coincide) that is not where it is locked, and for
+            velocity constraints that contradict each other.
         ArgumentError
             For a bad max_gap, and for names in `free` that are none of contacts that can open.
         ModelError

@@ -13,7 +13,7 @@ import pinocchio as pin
 from .arguments import is_number, reals, warn_of_order
 from .contacts import Assembly, Contact, characteristic_length
 from .display import MODE_NAMES, html_table, numbers, shortened
-from .dynamics.joints import joint_of, without_inertia
+from .dynamics.joints import JointLock, check_locks, joint_locks, joint_of, without_inertia
 from .dynamics.manifold import (
     CIRCLE_BLOCK,
     FREE_FLYER,
@@ -166,15 +166,16 @@ class State:
 
 
 class Coordinates(NamedTuple):
-    """What a model's q and v consist of: their sizes, and the blocks of q, see `configuration_blocks`."""
+    """What a model's q and v consist of: sizes, blocks of q, see `configuration_blocks`, and what is locked."""
 
     nq: int
     nv: int
     blocks: tuple[tuple[int, int, int, int], ...]
+    locks: list[JointLock]
 
 
 def coordinates_of(model: pin.Model) -> Coordinates:
-    return Coordinates(model.nq, model.nv, configuration_blocks(model))
+    return Coordinates(model.nq, model.nv, configuration_blocks(model), joint_locks(model))
 
 
 def check_state(scene: Assembly, state: Any, coordinates: Coordinates | None = None) -> None:
@@ -197,6 +198,13 @@ def check_state(scene: Assembly, state: Any, coordinates: Coordinates | None = N
         coordinates = coordinates_of(scene.model)
     check_configuration(coordinates, state.q)
     check_vector("v", state.v, coordinates.nv)
+    check_locks(coordinates.locks, state.q)
+    for lock in coordinates.locks:
+        if state.v[lock.index_v] != 0.0:
+            raise StateError(
+                f"joint {lock.joint!r} is locked, since its position limits coincide, but v[{lock.index_v}] = "
+                f"{state.v[lock.index_v]:.9g}"
+            )
     check_time("t", state.t)
     for name, columns in (("location", 4), ("discrete", DISCRETE_COLUMNS)):
         shape = getattr(state, name).shape
@@ -312,7 +320,10 @@ def find_state(
             raise ArgumentError(f"free: contact {name!r} is bilateral and cannot open")
     contacts = list(scene.contacts.values())
     system = RunSystem(model, contacts)
+    check_locks(system.locks, q)
     system.q[:], system.v[:] = q, v
+    for lock in system.locks:
+        system.q[lock.index_q] = lock.value
     found = {contact.name: _candidates(scene, contact, q, v, t, contact.name in free) for contact in contacts}
     candidates = {name: told.candidates for name, told in found.items()}
     places: dict[int, Candidate] = {}
@@ -520,6 +531,17 @@ def _cure(contact: Contact, found: list[Candidate], chosen: Candidate, limit: fl
     return f"move q, or to start open pass free=[{contact.name!r}]"
 
 
+def _without_locked(system: RunSystem, v: np.ndarray) -> np.ndarray:
+    """The velocity nearest to v, in the mass metric of the last evaluation, without motion of what is locked."""
+    if not v[system.locked].any():
+        return v
+    lower = np.tril(system.mass)
+    reach = np.linalg.inv(lower + np.tril(lower, -1).T)[:, system.locked]
+    out = v - reach @ np.linalg.solve(reach[system.locked], v[system.locked])
+    out[system.locked] = 0.0
+    return np.asarray(out)
+
+
 def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
@@ -534,7 +556,8 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
         gaps[name] = float(np.hypot(*system.gaps[c]) if system.gaps[c, 1] else system.gaps[c, 0])
         first, second, normal = (system.basis[c] @ system.slip[c]).tolist()
         slips[name] = normal, math.hypot(first, second)
-    system.put_state(system.stage_state, q, v, system.location[: system.nc])
+    system.v[:] = _without_locked(system, v)
+    system.put_state(system.stage_state, system.q, system.v, system.location[: system.nc])
     if system.project(t) != OK:
         contradicting = contradiction(system, t)
         if contradicting:

@@ -196,7 +196,8 @@ class Stepper:
         kp, kd : float or array_like (nv,)
             Gains in N m/rad and N m s/rad (N/m and N s/m of prismatic joints), at least 0. A number is the gain of
             every joint of one degree of freedom. kp is for coordinates that are a joint's own, also of unbounded
-            rotations, where it pulls the shorter way round; not for free, planar and spherical joints.
+            rotations, where it pulls the shorter way round; not for free, planar and spherical joints. Locked joints,
+            whose limits coincide, get no torque.
         target : array_like (nq,)
             Configuration in which they have no torque at rest; of coordinates without kp the number does not matter.
 

@@ -348,3 +348,18 @@ def test_friction_at_the_end_of_slip(angle):
     for t in (event.time, np.nextafter(event.time, 0.0), 0.5 * event.time):
         friction = run.sol(t).contacts["c"].force_on("ball")[:2]
         np.testing.assert_allclose(friction, -MU * 0.5 * G * np.array([math.cos(angle), math.sin(angle)]), atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Sharp98", "RK45"])
+def test_nothing_touches(method):
+    """Steps are what they are without dense output, where no contact is put back on its constraints, too: after the
+    extra stages the next step begins with the slope at its start."""
+    model = pin.buildSampleModelManipulator()
+    scene = pc.Scene(model)
+    state = scene.initial_state(np.linspace(-0.5, 0.5, model.nq))
+    plain = pc.simulate(scene, state, 0.5, method=method)
+    ends = plain.t[len(plain.t) // 2 :]
+    for options in ({"dense_output": True}, {"t_eval": ends}, {"t_eval": np.sort(np.r_[ends, ends[:-1] + 1e-3])}):
+        run = pc.simulate(scene, state, 0.5, method=method, **options)
+        assert run.stats["steps"] == plain.stats["steps"]
+        np.testing.assert_array_equal(run.q[-1], plain.q[-1])

@@ -13,9 +13,11 @@ from pincontact.dynamics.energy import energies_at
 from pincontact.dynamics.joints import (
     END_SLACK,
     JointLimit,
+    JointLock,
     check_joint_limits,
     interrupted_joint,
     joint_limits,
+    joint_locks,
     joint_of,
     without_inertia,
 )
@@ -51,9 +53,14 @@ def test_joint_limits_of_a_model():
         JointLimit("wheel", 10, 9, -0.6, 0.0, -inf, inf),
     ]
     assert [limit.dry for limit in joint_limits(model)] == [False, True, False, True, True]
-    # bounds at zero, and ranges of one value, are ranges
+    # one value is no range
     model.lowerPositionLimit[0] = model.upperPositionLimit[0] = 0.25
-    assert joint_limits(model)[0] == JointLimit("slide", 0, 0, 0.0, 0.0, 0.25, 0.25)
+    assert [limit.joint for limit in joint_limits(model)] == ["flyer", "hinge", "lift", "wheel"]
+    assert joint_locks(model) == [JointLock("slide", 0, 0, 0.25)]
+    # nor are those of what is no vector limits, nor are bounds beyond all numbers
+    model.lowerPositionLimit[3], model.lowerPositionLimit[9], model.upperPositionLimit[9] = 0.5, math.inf, math.inf
+    assert [lock.joint for lock in joint_locks(model)] == ["slide"]
+    model.lowerPositionLimit[9], model.upperPositionLimit[9] = -unbounded, 0.5
     model.upperPositionLimit[0] = 0.2
     with pytest.raises(pc.ModelError, match="slide"):
         joint_limits(model)

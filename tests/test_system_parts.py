@@ -170,6 +170,25 @@ def test_sizes(laid_out):
     assert system.unfollowed.tolist() == first + [start + 4 + i for i in range(4)]
 
 
+def test_what_is_locked_takes_no_part():
+    """Branches hang on what is before the locks; locked coordinates move no contact and are not followed."""
+    scene = scene_of()
+    model = scene.model
+    model.lowerPositionLimit[[0, 1]] = model.upperPositionLimit[[0, 1]] = 0.1, -0.2
+    system = RunSystem(model, list(scene.contacts.values()), True, joint_limits(model), True)
+    assert system.locked == [0, 1] and [lock.value for lock in system.locks] == [0.1, -0.2]
+    assert system.moves.tolist() == [0.0, 0.0] + [1.0] * (model.nv - 2)
+    parents = list(model.createData().parents_fromRow)[: model.nv]
+    assert system.parents.tolist() == [-1 if k < 2 or parents[k] < 2 else parents[k] for k in range(model.nv)]
+    moving = {k for row, ints in zip(system.support, system.side_int) for k in row[: ints[SUPPORT_SIZE]].tolist()}
+    assert moving and not moving & {0, 1}
+    nq = model.nq
+    assert system.unfollowed.tolist()[:4] == [0, nq, 1, nq + 1]
+    assert [limit.index_v for limit in system.limits] == [8]
+    system.set_tree(range(-1, model.nv - 1))
+    assert system.parents.tolist() == [-1, -1, -1, *range(2, model.nv - 1)]
+
+
 def test_pinocchios_data_in_place(laid_out):
     scene, _, system = laid_out
     model, data = scene.model, system.data

@@ -77,8 +77,8 @@ def find_equilibrium(
 
     Contacts with friction stick, with whatever force that takes; `SteadyMotion.holds` says whether friction allows it.
     Whether the equilibrium is stable is a question for `linearize`. Where equilibria fill a whole family (a ball on a
-    plane) the one found is near q0. Joints hold nothing: dry friction of joints and the push of joint limits are left
-    out.
+    plane) the one found is near q0. Joints that are not locked hold nothing: their dry friction and the push of their
+    limits are left out.
 
     Parameters
     ----------
@@ -227,7 +227,8 @@ def _search(
     def moved(point: Point, change: np.ndarray) -> Point:
         """q, v, shares of the symmetries and torques of the actuation."""
         dq, dv, share, effort = np.split(change, np.cumsum(sizes[:-1]))
-        return instant.moved(dq, point[0]), point[1] + dv if moves else point[1], point[2] + share, point[3] + effort
+        v = point[1] + dv * instant.system.moves if moves else point[1]
+        return instant.moved(dq, point[0]), v, point[2] + share, point[3] + effort
 
     def closed(point: Point) -> Point:
         q, v = instant.projected(*point[:2])

@@ -48,6 +48,23 @@ def joint_forces(
     return out
 
 
+def forces_of_locks(
+    instant: Instant,
+    a: np.ndarray,
+    tau: np.ndarray,
+    forces: Mapping[str, np.ndarray],
+    torques: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """(locks,) in N and N m: what locked coordinates carry under torques and contact forces that make these
+    accelerations (nv,)."""
+    system, model = instant.system, instant.model
+    if not system.locked:
+        return np.zeros(0)
+    outside = joint_forces(model, system.data, system.contacts, instant.points(), forces, torques)
+    needed = pin.rnea(model, model.createData(), instant.q, instant.v, a, outside) - tau
+    return np.asarray(needed[system.locked])
+
+
 def external_forces(
     scene: Scene, state: State, tau: ArrayLike | None = None, *, forces: Mapping[str, ArrayLike] | None = None
 ) -> pin.StdVec_Force:

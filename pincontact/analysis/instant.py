@@ -212,8 +212,8 @@ class Instant:
         return system.acceleration.copy()
 
     def moved(self, direction: np.ndarray, q: np.ndarray | None = None) -> np.ndarray:
-        """The configuration moved along a tangent direction (nv,)."""
-        return pin.integrate(self.model, self.q if q is None else q, direction)
+        """The configuration moved along a tangent direction (nv,), but for what is locked."""
+        return pin.integrate(self.model, self.q if q is None else q, direction * self.system.moves)
 
     def varied(self, change: np.ndarray, q: np.ndarray | None = None, v: np.ndarray | None = None) -> np.ndarray:
         """Accelerations where a change (2 nv,) has moved (q, v), by default the state's own."""
@@ -372,7 +372,8 @@ class Instant:
     def directions(self, which: list[tuple[int, int]]) -> Directions:
         """The constraint rows of the last evaluation, in the metric of the mass matrix."""
         sizes = {item: self.row_size(item) for item, _ in which}
-        return Directions(whiten(self.system, self.rows(which).T), np.array([sizes[item] for item, _ in which]))
+        columns, lengths = whiten(self.system, self.rows(which).T), np.array([sizes[item] for item, _ in which])
+        return Directions(columns, lengths, self.system.moves)
 
     def least_change(self, which: list[tuple[int, int]], wanted: np.ndarray) -> np.ndarray:
         """(nv,) or (nv, k) the change of velocity, least in the norm of the mass matrix, that changes the constrained

@@ -14,7 +14,7 @@ from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from .farkas import FarkasCertificate
-from .forces import check_forces
+from .forces import check_forces, forces_of_locks
 from .instant import Instant
 from .inverse_loads import unit_forces
 from .inverse_problem import Options, Wanted, opening_contacts
@@ -77,7 +77,7 @@ class InverseDynamics(Summary):
     residual : float
         What is left of the equations of motion, in N and N m.
     joint_forces : (nv,) array
-        Dry friction of joints and what the ends of their ways carry, in N and N m.
+        Dry friction of joints and what the ends of their ways, or locked joints, carry, in N and N m.
     held : tuple of HeldTurn
         Of `torques` those of resistances that are at rest, each with the limit that it was not made to obey.
     missed : float
@@ -277,10 +277,12 @@ def _found(program: InverseProgram, wanted: Wanted) -> InverseDynamics:
     joint_forces = system.joint_forces() + problem.beginning
     joint_forces[problem.resting.index] += found.holding
     acting, torques, held = _contact_forces(found, wanted.given)
+    a, tau = problem.acceleration(found.u), wanted.actuation.matrix @ found.efforts
+    joint_forces[system.locked] = forces_of_locks(instant, a, tau, acting, torques)
     return InverseDynamics(
-        wanted.actuation.matrix @ found.efforts,
+        tau,
         found.efforts,
-        problem.acceleration(found.u),
+        a,
         acting,
         torques,
         problem.residual(found.u),
@@ -295,12 +297,15 @@ def _found(program: InverseProgram, wanted: Wanted) -> InverseDynamics:
 
 
 def _check_kept(instant: Instant, wanted: Wanted) -> None:
-    """Raise StateError for accelerations of all coordinates that break the contacts."""
+    """Raise StateError for accelerations of all coordinates that break the contacts, or move what is locked."""
     system, a, tolerance = instant.system, wanted.tasks.wanted, wanted.options.tolerance
     opening = opening_contacts(instant, wanted.given)
     constrained = [item for item in instant.constrained() if system.owner(item[0]) not in opening]
     bias = instant.biases(constrained)
     scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
+    for lock in system.locks:
+        if abs(a[lock.index_v]) > tolerance * scale:
+            raise StateError(f"acceleration: it moves joint {lock.joint!r}, which is locked, at {a[lock.index_v]:.3g}")
     defects = instant.rows(constrained) @ a + bias
     if constrained and np.abs(defects).max() > tolerance * scale:
         worst = int(np.argmax(np.abs(defects)))

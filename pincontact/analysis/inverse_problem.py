@@ -97,13 +97,13 @@ class Problem:
             sizes[item] = instant.row_size(item)
         rows, bias = instant.rows(constrained), instant.biases(constrained)
         lengths = np.array([sizes[c] for c, _ in constrained])
-        self._keep(Directions(whiten(system, rows.T), lengths), bias)
+        self._keep(Directions(whiten(system, rows.T), lengths, system.moves), bias)
         self.resting, self.beginning, self._directions = self._joints(wanted)
         if self.resting.index.size:
             held = np.eye(system.nv)[self.resting.index]
             columns = whiten(system, np.vstack([rows, held]).T)
             lengths = np.append(lengths, np.linalg.norm(columns[:, len(rows) :], axis=0))
-            self._keep(Directions(columns, lengths), np.append(bias, np.zeros(len(held))))
+            self._keep(Directions(columns, lengths, system.moves), np.append(bias, np.zeros(len(held))))
         self._equate(wanted, answer)
         self.owners: list[tuple[str, int]] = []
         self.region = self._limits(wanted, unlimited)
@@ -159,6 +159,8 @@ class Problem:
             for item, unit in unit_forces(instant, c, row, self.shares[k]).items():
                 columns[:, na + k] += system.rows[item].T @ unit
         columns[self.resting.index, na + len(self.items) + np.arange(self.resting.index.size)] = 1.0
+        # a joint that is locked needs no balance
+        columns[system.locked] = 0.0
         self.columns = columns
         # what acts whatever is chosen
         known = self.beginning.copy()
@@ -182,16 +184,18 @@ class Problem:
         self.holding = slice(nz + na + len(self.items), nz + columns.shape[1])
         self.equations = np.hstack([self.span, whitened * (-self.load / self.rate)])
         right = (free - self.origin) / self.rate
-        q, r = np.linalg.qr(self.equations.T, mode="complete")
+        moving = np.flatnonzero(system.moves)
+        equations, right, n = self.equations[moving], right[moving], moving.size
+        q, r = np.linalg.qr(equations.T, mode="complete")
         diagonal = np.abs(np.diagonal(r))
-        if r.shape[0] >= nv and diagonal.min() > REDUNDANT * diagonal.max():
-            self.start = q[:, :nv] @ np.linalg.solve(r[:nv].T, right)
-            self.basis = q[:, nv:]
+        if r.shape[0] >= n and diagonal.min() > REDUNDANT * diagonal.max():
+            self.start = q[:, :n] @ np.linalg.solve(r[:n].T, right)
+            self.basis = q[:, n:]
             return
-        left, values, rows = np.linalg.svd(self.equations)
+        left, values, rows = np.linalg.svd(equations)
         rank = int((values > REDUNDANT * values.max(initial=0.0)).sum())
         self.start, self.basis = rows[:rank].T @ ((left[:, :rank].T @ right) / values[:rank]), rows[rank:].T
-        missing = self.rate * float(np.abs(self.equations @ self.start - right).max())
+        missing = self.rate * float(np.abs(equations @ self.start - right).max())
         if missing > wanted.options.tolerance * self.rate * max(1.0, float(np.abs(right).max())):
             raise SolverError(
                 f"inverse dynamics: the actuators and contacts cannot balance the equations of motion whatever the "

@@ -78,7 +78,7 @@ class ContactKinematics(Summary):
     components : (3,) array
         v_c^j = m^j . v_c (Eq. 12).
     rows : (3, nv) array
-        Derivatives of v_c^j by v (Eqs. 17, 29).
+        Derivatives of v_c^j by v (Eqs. 17, 29); of locked joints, which have no v, zero.
     drift : (3,) array
         Part of v_c^j that prescribed motions make: v_c^j = rows v + drift.
     bias : (3,) array

@@ -150,10 +150,11 @@ def linearize(
     """Linearise a scene's motion about an equilibrium or a steady motion.
 
     Contacts keep the mode they have at the state, and so do joints: one that rests at an end of its way stays there, as
-    by a GC, one that rests by dry friction has no velocity, as by a VC, and the dry friction of one that moves is a
-    constant force. Geometric constraints (GC) reduce configurations and velocities, rolling constraints (VC) velocities
-    only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are Richardson extrapolations
-    of the package's own constrained accelerations, exact to about 1e-11; their error is estimated and reported.
+    by a GC, as a locked one does; one that rests by dry friction has no velocity, as by a VC, and the dry friction of
+    one that moves is a constant force. Geometric constraints (GC) reduce configurations and velocities, rolling
+    constraints (VC) velocities only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives
+    are Richardson extrapolations of the package's own constrained accelerations, exact to about 1e-11; their error is
+    estimated and reported.
 
     A steady motion follows a symmetry of the scene: the deviation is taken in axes that go along with it, where A is
     constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop are all

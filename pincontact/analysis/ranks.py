@@ -13,15 +13,18 @@ from ..dynamics.units import REDUNDANT
 
 
 class Directions:
-    """Directions (n, m), one a column, and the size (m,) that each would have if nothing in it cancelled.
+    """Directions (n, m), one a column, and the size (m,) that each would have if nothing in it cancelled; of the n
+    coordinates those alone matter that `moves` (n,) is not 0 for.
 
-    complement: (n, n - rank) orthonormal, what is orthogonal to all of them. redundant: whether any combination of them
-    makes nothing.
+    complement: (n, k) orthonormal, what moves and is orthogonal to all of them. redundant: whether any combination of
+    them makes nothing.
     """
 
-    def __init__(self, columns: np.ndarray, sizes: np.ndarray) -> None:
+    def __init__(self, columns: np.ndarray, sizes: np.ndarray, moves: np.ndarray) -> None:
         self._sizes = np.where(sizes > 0.0, sizes, 1.0)
-        left, values, right = np.linalg.svd(columns / self._sizes)
+        moving = np.flatnonzero(moves)
+        left = np.zeros((len(columns), moving.size))
+        left[moving], values, right = np.linalg.svd((columns / self._sizes)[moving])
         rank = int((values > REDUNDANT).sum())
         self._left, self._values, self._right = left[:, :rank], values[:rank], right[:rank].T
         self.complement, self.redundant = left[:, rank:], rank < columns.shape[1]

@@ -19,6 +19,7 @@ A steady motion is one that follows a generator: v = dq and a = dv (a relative e
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -128,21 +129,24 @@ def _slides(model: pin.Model, q: np.ndarray) -> np.ndarray:
     return out
 
 
-def _find_turns(model: pin.Model) -> np.ndarray:
+def _find_turns(model: pin.Model, locked: Sequence[int]) -> np.ndarray:
     """(k, nv, nv) linear maps of the coordinates of joints that only slide, one after the other, which turn what they
-    carry about the origin of their coordinates, in each plane that their axes span."""
+    carry about the origin of their coordinates, in each plane that their axes span. Joints between them may be locked.
+    """
     if model.nv == 0:
         return np.zeros((0, 0, 0))
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    columns = [list(range(joint.idx_v, joint.idx_v + joint.nv)) for joint in model.joints]
+    columns = [[k for k in range(joint.idx_v, joint.idx_v + joint.nv) if k not in locked] for joint in model.joints]
     rates = [pin.getJointJacobian(model, data, j, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1) for j in range(model.njoints)]
-    sliding = [j for j in range(1, model.njoints) if columns[j] and not rates[j][3:, columns[j]].any()]
+    sliding = [j for j in range(1, model.njoints) if not rates[j][3:, columns[j]].any()]
     turns: list[np.ndarray] = []
     for last in set(sliding) - {model.parents[j] for j in sliding}:
         own, j = list(columns[last]), model.parents[last]
         while j in sliding:
             own, j = columns[j] + own, model.parents[j]
+        if not own:
+            continue
         _, sizes, axes = np.linalg.svd(rates[last][:3, own], full_matrices=False)
         span = range(int((sizes > _TOLERANCE * sizes[0]).sum()))
         for a, b in combinations(span, 2):
@@ -163,7 +167,7 @@ def find_symmetries(instant: Instant) -> Symmetries:
     brackets = Brackets(model)
     # of the coordinates that do not commute with all others: elsewhere the right part is the left one
     rights = np.flatnonzero(np.abs(brackets.constants).sum(axis=(0, 1)))
-    turns = _find_turns(model)
+    turns = _find_turns(model, instant.system.locked)
     blocks: list[np.ndarray] = []
     noise = 0.0
     spread = _SPREAD
@@ -173,7 +177,7 @@ def find_symmetries(instant: Instant) -> Symmetries:
         apart = spread * instant.length * rng.uniform(-1.0, 1.0, nv)
         speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
         # velocities, too: what does not turn goes on along its own axes as it does along the world's
-        v = instant.v + 0.3 * speed * spread / _SPREAD * rng.uniform(-1.0, 1.0, nv)
+        v = instant.v + 0.3 * speed * spread / _SPREAD * rng.uniform(-1.0, 1.0, nv) * instant.system.moves
         try:
             block, error = _defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights, turns)
         except (SolverError, SingularContactError):
@@ -207,8 +211,8 @@ def find_symmetries(instant: Instant) -> Symmetries:
 def _defects(
     instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray, turns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """(rows, nv + rights + turns + 1) what each elementary generator changes at a state: gaps' rates, accelerations;
-    and the error of all that. The last generator is time.
+    """(rows, nv + rights + turns + 1) what each elementary generator changes at a state: gaps' rates, what is locked,
+    accelerations; and the error of all that. The last generator is time.
     """
     model, nv = instant.model, instant.system.nv
     a = instant.evaluate(q, v)
@@ -227,6 +231,7 @@ def _defects(
     if instant.driven():
         aging, error = derivative(lambda h: instant.evaluate(q, v, t=instant.t + h), _TIME_STEP)
     # what of the normal velocities the drives make
-    by_time = np.concatenate([speeds - normals @ v, aging / scale])
-    block = np.vstack([normals @ dq, (change - expected) / scale])
+    locked = instant.system.locked
+    by_time = np.concatenate([speeds - normals @ v, np.zeros(len(locked)), aging / scale])
+    block = np.vstack([normals @ dq, dq[locked], (change - expected) / scale])
     return np.column_stack([block, by_time]), float(np.linalg.norm([*errors, error])) / scale

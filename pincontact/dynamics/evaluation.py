@@ -295,7 +295,7 @@ def accelerate_freely(system):
     """a_free = M^-1 (tau - damping v - nle + viscous friction + dry friction of joints that move)."""
     nv, free = system.sizes.nv, system.free_acceleration
     for k in range(nv):
-        free[k] = system.tau[k] - system.damping[k] * system.v[k] - system.nle[k]
+        free[k] = system.moves[k] * (system.tau[k] - system.damping[k] * system.v[k] - system.nle[k])
     add_viscous_loads(system, free)
     for g in range(system.joint_count[0]):
         limit = system.joint_int[g]

@@ -1,14 +1,20 @@
-"""Joint limits and dry joint friction, as the model states them.
+"""Joint limits, locks and dry joint friction, as the model states them.
 
-A coordinate that has either is an item beside the contacts. It moves, under a dry friction that opposes it, or it is
-held: by friction, whose force is then anything in its range, or by a limit, which bounds the force on one side only. A
-held coordinate is one constraint row, as a contact's normal is. Effort and velocity limits are not enforced.
+A coordinate that has limits or dry friction is an item beside the contacts. It moves, under a dry friction that opposes
+it, or it is held: by friction, whose force is then anything in its range, or by a limit, which bounds the force on one
+side only. A held coordinate is one constraint row, as a contact's normal is. Effort and velocity limits are not
+enforced.
+
+A coordinate whose limits coincide is locked: q = value, v = 0, with whatever force that takes. That is an equation
+which nothing ends, and which leaves the force out of all others. So the coordinate is left out of the equations of
+motion, which are those of the mechanism with this joint welded, see `System`.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,9 +46,42 @@ class JointLimit:
         return self.low_force < self.high_force
 
 
+@dataclass(frozen=True)
+class JointLock:
+    """A coordinate that is locked: joint name, indices in q and v, its value in rad or m."""
+
+    joint: str
+    index_q: int
+    index_v: int
+    value: float
+
+
+def joint_locks(model: pin.Model) -> list[JointLock]:
+    """The coordinates of a model whose limits coincide, of joints whose configuration is a vector."""
+    values = model.lowerPositionLimit
+    if not (same := values == model.upperPositionLimit).any():
+        return []
+    return [
+        JointLock(joint_of(model, iv + k), iq + k, iv + k, float(values[iq + k]))
+        for kind, iq, iv, n in configuration_blocks(model)
+        for k in range(n)
+        if kind == VECTOR and same[iq + k] and math.isfinite(values[iq + k])
+    ]
+
+
+def check_locks(locks: Sequence[JointLock], q: np.ndarray) -> None:
+    """Raises StateError for a locked coordinate that is not where it is locked, with the numbers."""
+    for lock in locks:
+        if not abs(q[lock.index_q] - lock.value) <= END_SLACK:
+            raise StateError(
+                f"joint {lock.joint!r}: q[{lock.index_q}] = {q[lock.index_q]:.9g}, but both its position limits are "
+                f"{lock.value:.9g}, where it is locked; start there, or set the model's limits to infinity"
+            )
+
+
 def joint_limits(model: pin.Model) -> list[JointLimit]:
     """The coordinates of a model that have limits (`lowerPositionLimit`, `upperPositionLimit`, of joints whose
-    configuration is a vector) or dry friction (`lowerDryFrictionLimit`, `upperDryFrictionLimit`).
+    configuration is a vector) or dry friction (`lowerDryFrictionLimit`, `upperDryFrictionLimit`), but for locked ones.
 
     Raises ModelError for a range that is empty, or a friction that does not oppose motion.
     """
@@ -64,7 +103,8 @@ def joint_limits(model: pin.Model) -> list[JointLimit]:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
             if not low_end <= high_end:
                 raise ModelError(f"joint {joint!r}: the position limits {low_end} to {high_end} are an empty range")
-            limits.append(JointLimit(joint, iq + k, iv + k, low_force, high_force, low_end, high_end))
+            if low_end < high_end:
+                limits.append(JointLimit(joint, iq + k, iv + k, low_force, high_force, low_end, high_end))
     return limits
 
 

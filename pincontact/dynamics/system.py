@@ -80,6 +80,7 @@ from ..layout import (
 from ..workspace import Workspace, address_of
 from .equations import dry_friction_force
 from .evaluation import KINEMATICS_OF_ALL, evaluate_state
+from .joints import joint_locks
 from .manifold import TURNING, configuration_blocks
 from .pinocchio_calls import PinocchioCalls
 
@@ -102,6 +103,10 @@ class System(Workspace):
 
     The arrays of `layout.SYSTEM` are attributes. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`,
     `location`.
+
+    locks: coordinates that the model locks. Nothing moves them, and nothing that they do is felt: `moves` takes their
+    loads away, they are no part of the `parents` by which the mass matrix couples others, and move no contact
+    (`support`). What is left is the mechanism with these joints welded.
     """
 
     def __init__(
@@ -141,6 +146,10 @@ class System(Workspace):
         self._time, self._bad_torque = scalars["time"], scalars["bad_torque"]
         self.q[:] = pin.neutral(model)
         self.pinocchio = PinocchioCalls(model, self.data, self.q, self.v)
+        self.locks = joint_locks(model)
+        self.locked = [lock.index_v for lock in self.locks]
+        self.moves[:] = 1.0
+        self.moves[self.locked] = 0.0
         self._map_pinocchio()
         self.joint_table[:] = np.reshape(blocks, (-1, 4))
         self._map_contacts()
@@ -153,7 +162,7 @@ class System(Workspace):
     def _map_pinocchio(self) -> None:
         data, model = self.data, self.model
         self.put("mass", data.M.T)
-        self.parents[: model.nv] = list(data.parents_fromRow)[: model.nv]
+        self.set_tree(list(data.parents_fromRow)[: model.nv])
         self.bias_forces = self.put("nle", self.pinocchio.bias_forces)
         # of one degree of freedom Pinocchio gives a vector
         self.put("jacobian", data.J.reshape(6, -1).T)
@@ -162,6 +171,14 @@ class System(Workspace):
             parts = (pose.rotation, pose.translation, data.v[j].vector, data.a_gf[j].vector)
             self.joint_addresses[j] = [address_of(part) for part in parts]
         self.gravity[:], self.damping[:] = model.gravity.linear, model.damping
+
+    def set_tree(self, parents: Sequence[int]) -> None:
+        """Take these (nv,) for the tree of the mass matrix, but for coordinates that are locked."""
+        tree = list(parents)
+        for k in self.locked:
+            tree = [tree[k] if parent == k else parent for parent in tree]
+            tree[k] = -1
+        self.parents[: self.nv] = tree
 
     def _map_contacts(self) -> None:
         self.contact_real[:, [START_SPEED, LAST_SPEED]] = np.inf
@@ -193,12 +210,13 @@ class System(Workspace):
         for c, pair in enumerate(pairs):
             others = range(c + 1, c + 1 + self.nc)
             self.contact_int[c, NEXT] = next(i % self.nc for i in others if pairs[i % self.nc] == pair)
-        # places in the state of contact coordinates that do not exist, or are not integrated: a closed form needs no
-        # start to find them
+        # places in the state of what does not move, and of contact coordinates that do not exist, or are not
+        # integrated: a closed form needs no start to find them
         columns = self.contact_int[: self.nc]
         unfollowed = np.tile(np.arange(2), 2) >= np.repeat(columns[:, [K1, K2]], 2, axis=1)
         unfollowed[columns[:, CLOSED_FORM] != NO_CLOSED_FORM] = True
-        self.unfollowed = self.nq + self.nv + np.flatnonzero(unfollowed)
+        still = [k for lock in self.locks for k in (lock.index_q, self.nq + lock.index_v)]
+        self.unfollowed = np.array([*still, *(self.nq + self.nv + np.flatnonzero(unfollowed))], dtype=int)
 
     def _map_side(self, side: int, attached: AttachedContour) -> None:
         contour, integers = attached.contour, self.side_int[side]
@@ -216,7 +234,7 @@ class System(Workspace):
         if attached.joint == 0:
             self.frames[side, 0:3], self.frames[side, ORIGIN] = placement.rotation, placement.translation
         else:
-            moving = _support(self.model, attached.joint)
+            moving = [k for k in _support(self.model, attached.joint) if k not in self.locked]
             integers[SUPPORT_SIZE] = len(moving)
             self.support[side, : len(moving)] = moving
         if attached.motion is not None:

@@ -25,7 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arguments import NOT_REAL, real_array
-from ..dynamics.joints import joint_of
+from ..dynamics.joints import joint_locks, joint_of
 from ..dynamics.manifold import CIRCLE_BLOCK, VECTOR, configuration_blocks
 from ..errors import ArgumentError
 from ..jit import kernel
@@ -109,8 +109,9 @@ Actuator = tuple[int, int, int, float, float]
 
 def actuators_of(model: pin.Model, kp: ArrayLike, kd: ArrayLike) -> list[Actuator]:
     """Actuators with these gains, as records `impulse_layout.ACTUATOR`. A number is the gain of every joint of one
-    degree of freedom. Raises ArgumentError."""
+    degree of freedom; locked ones have none. Raises ArgumentError."""
     stiffness, damping = _gains(model, "kp", kp), _gains(model, "kd", kd)
+    locked = [lock.index_v for lock in joint_locks(model)]
     found: list[Actuator] = []
     for kind, iq, iv, n in configuration_blocks(model):
         for k in range(iv, iv + n):
@@ -119,7 +120,8 @@ def actuators_of(model: pin.Model, kp: ArrayLike, kd: ArrayLike) -> list[Actuato
                     f"kp[{k}] is {stiffness[k]}: the configuration of joint {joint_of(model, k)!r} is no vector, "
                     "which has no coordinate that could have a target"
                 )
-            if stiffness[k] > 0.0 or damping[k] > 0.0:
+            # what is locked takes no part, nor in which decay is the fastest
+            if (stiffness[k] > 0.0 or damping[k] > 0.0) and k not in locked:
                 found.append((iq + k - iv, k, int(kind == CIRCLE_BLOCK), float(stiffness[k]), float(damping[k])))
     return found
 

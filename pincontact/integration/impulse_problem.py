@@ -285,10 +285,12 @@ def change_freely(system, step):
     damping, tau, nle = system.damping, system.tau, system.nle
     v, change, trend = step.transported_v, step.change, step.transported_trend
     for i in range(nv):
-        for j in range(i):
-            factor[i, j] = mass[i, j]
         factor[i, i] = mass[i, i] + 0.5 * h * damping[i]
-        change[i] = h * (tau[i] - nle[i] - damping[i] * v[i])
+        j = parents[i]
+        while j >= 0:
+            factor[i, j] = mass[i, j]
+            j = parents[j]
+        change[i] = h * system.moves[i] * (tau[i] - nle[i] - damping[i] * v[i])
     for j in range(counts.joints):
         if step.joints[j].kind == DRY_FRICTION:
             change[step.joints[j].index_v] += h * step.joints[j].middle

@@ -182,7 +182,7 @@ class MoreauStep:
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
         if self._viscous:
             # the mass matrix with viscous friction couples branches of the tree
-            system.parents[:] = np.arange(max(system.nv, 1)) - 1
+            system.set_tree(range(-1, system.nv - 1))
 
     def renew(self) -> None:
         """Be as new, for a system that is as new: buffers are kept, nothing in them matters."""

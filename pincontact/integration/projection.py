@@ -72,7 +72,8 @@ def project(system, t, evaluated, purpose, error):
     sizes, scalars, q = system.sizes, system.scalars, system.q
     beyond = count_items(system) - sizes.nc
     if sizes.nc + beyond == 0:
-        return OK
+        status = OK if evaluated or purpose == TO_SHOW else evaluate(system, t, 0)
+        return status if status > EVENT else OK
     # forces of limited joints and resistances are shown with the state, and redundant ones are those of its loads
     part = PLACES_OF_CLOSED if purpose == TO_SHOW and beyond == 0 and scalars.has_reference == 0.0 else 0
     for i in range(_PROJECTIONS):

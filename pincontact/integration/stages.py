@@ -235,6 +235,8 @@ def keep_places(system):
 @kernel
 def _in_tolerances(change, allowed):
     # a quotient of zeros would be no number, and which one of two numbers is larger then depends on their order
+    if change == 0.0:
+        return 0.0
     return abs(change) / allowed if allowed > 0.0 else math.inf
 
 

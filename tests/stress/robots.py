@@ -26,7 +26,7 @@ import pinocchio as pin
 from own_process import in_own_process
 
 import pincontact as pc
-from pincontact.dynamics.joints import joint_limits
+from pincontact.dynamics.joints import joint_limits, joint_locks
 
 METHODS = ("Moreau", "DOP853", "RK45")
 RUNS = ("limp", "standing")
@@ -156,8 +156,7 @@ def load(folder: Path, file: str) -> Robot:
     model = pin.buildModelFromUrdf(urdf, pin.JointModelFreeFlyer()) if free else pin.buildModelFromUrdf(urdf)
     q = _posture(model, folder / file.split("/")[0] / "srdf")
     # the posture of a file, and the neutral one, may lie beyond the model's limits
-    for limit in joint_limits(model):
-        q[limit.index_q] = min(max(q[limit.index_q], limit.low_end), limit.high_end)
+    _keep_within(model, q)
     if file in LIGHT:
         model.armature[6 if free else 0 :] = ARMATURE
     if free:
@@ -185,6 +184,14 @@ def load(folder: Path, file: str) -> Robot:
         sphere = scene.add_contour(name, pc.Sphere(RADIUS), name)
         scene.add_contact(name, sphere, floor, friction=pc.Coulomb(FRICTION))
     return Robot(scene, q, free, [name for _, name in feet])
+
+
+def _keep_within(model: pin.Model, q: np.ndarray) -> None:
+    """Move q to the nearest configuration within the model's limits."""
+    for limit in joint_limits(model):
+        q[limit.index_q] = min(max(q[limit.index_q], limit.low_end), limit.high_end)
+    for lock in joint_locks(model):
+        q[lock.index_q] = lock.value
 
 
 def _posture(model: pin.Model, folder: Path) -> np.ndarray:
@@ -293,8 +300,7 @@ def _disturbed(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> pc.Stat
     if robot.free:
         change[:6] = 0.0
     moved = pin.integrate(model, q, change)
-    for limit in joint_limits(model):
-        moved[limit.index_q] = min(max(moved[limit.index_q], limit.low_end), limit.high_end)
+    _keep_within(model, moved)
     if robot.free:
         moved[2] += DISTURBANCE
     return robot.scene.initial_state(moved, np.zeros(model.nv), free=list(robot.scene.contacts))

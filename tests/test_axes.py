@@ -176,7 +176,7 @@ def test_spheroids_that_are_traced_meet_as_ellipsoids_do(seed):
         speeds = [pin.Quaternion(turn).matrix().T[:, 0] for turn in (first, second)]
         v = np.r_[speeds[0], rng.normal(size=3) * 3.0, -speeds[1], rng.normal(size=3) * 3.0]
         state = scene.initial_state(q, v, free=["c"])
-        runs.append(pc.simulate(scene, state, 0.5, method="Moreau", step=1e-3))
+        runs.append(pc.simulate(scene, state, 0.3, method="Moreau", step=1e-3))
     assert runs[0].status == runs[1].status == 0, runs[0].message
     assert "touch" in [event.kind for event in runs[0].events]
     # the same geometry, to what the search resolves

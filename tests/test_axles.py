@@ -73,11 +73,11 @@ def compare(scene, state):
     assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < 5e-5
 
 
-@pytest.mark.parametrize("seed", [2, 4, 7, 8, 10, 15, 20, 23, 25, 30, 42, 44])
+@pytest.mark.parametrize("seed", [2, 4, 8, 10, 15, 20, 30])
 def test_two_wheels_on_one_axle(seed):
     """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (15, 30), wheels that come to
-    rest together where they cannot both stick (8, 23), constraints that become independent (2, 25), wheels that slip in
-    turn (15), and slips that friction does not end, however slow they are (4, 7, 10, 20, 42, 44)."""
+    rest together where they cannot both stick (8), constraints that become independent (2), wheels that slip in turn
+    (15), and slips that friction does not end, however slow they are (4, 10, 20)."""
     compare(*random_cart(seed))
 
 

@@ -48,7 +48,7 @@ def least_friction(points, push):
     return high
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_feet_slip_only_when_there_is_no_choice(seed):
     """A push jumps to what forces inside the cones can just hold, or just cannot."""
     rng = np.random.default_rng(seed)
@@ -182,7 +182,7 @@ def test_nothing_holds_where_there_is_no_choice():
     assert chosen_forces(units) is None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_points_on_curves_in_turned_worlds(seed):
     """The normals of a point on a spatial curve are any two, and nothing depends on which."""
     crank, begin, _, _ = random_crank(seed)

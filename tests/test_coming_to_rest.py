@@ -54,7 +54,7 @@ def test_what_stops_on_a_slope_is_held_by_static_friction(law, tangents):
             assert run.contacts["c"].mode[-1] == 1
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_sliding_feet_come_to_rest_where_forces_can_hold_them(seed):
     """A body slides against a push that the feet could hold if the rougher ones carried it, and that the least loads,
     which they have in slip, could not: it comes to rest, and stays, in any order of its feet. Feet opposite each other

@@ -45,15 +45,15 @@ def gears(teeth: range) -> tuple[pc.Scene, pc.State]:
 
 @pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 1e-3}])
 def test_teeth_take_over_from_each_other(options):
-    """Involutes keep the ratio of speeds: so do angles, over six teeth. Of 13 pairs some have no point at
+    """Involutes keep the ratio of speeds: so do angles, over four teeth. Of ten pairs some have no point at
     the start at which they are nearest; they touch when their turn comes."""
-    scene, state = gears(range(-4, 9))
-    run = pc.simulate(scene, state, 2.0, control=lambda t, q, v: np.array([-2.0, -1.0]), **options)
+    scene, state = gears(range(-3, 7))
+    run = pc.simulate(scene, state, 1.7, control=lambda t, q, v: np.array([-2.0, -1.0]), **options)
     assert run.status == 0, run.message
-    assert {event.contact for event in run.events if event.kind == "touch"} >= {"t1", "t2", "t3", "t4"}
+    assert {event.contact for event in run.events if event.kind == "touch"} >= {"t1", "t2", "t3"}
     # energy: both turn like one with torque tau_1 - tau_2 N_1 / N_2 and inertia 1 + (N_1 / N_2)^2
     ratio = TEETH[0] / TEETH[1]
-    angle = 0.5 * 2.0**2 * (-2.0 + ratio) / (1.0 + ratio**2)
+    angle = 0.5 * 1.7**2 * (-2.0 + ratio) / (1.0 + ratio**2)
     np.testing.assert_allclose(run.q[-1], [angle, -ratio * angle], rtol=0.0, atol=1e-9)
 
 

@@ -132,7 +132,7 @@ def assert_same(model, peer, seed=0):
 # ---------------------------------------------------------------------------------------------------- the same motion
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(16))
 def test_random_files(tmp_path, seed):
     scene, peer = read(tmp_path, RandomFile(seed).text)
     assert_same(scene.model, peer, seed)

@@ -335,10 +335,10 @@ def test_time_stepping_does_not_fly_through_silently():
 
 @pytest.mark.parametrize("block", range(4))
 def test_no_step_flies_through_a_ball(block):
-    """120 points and balls thrown at balls of 1 to 50 cm, in steps of 1 to 50 ms: what gets within nine tenths of the
+    """Forty points and balls thrown at balls of 1 to 50 cm, in steps of 1 to 50 ms: what gets within nine tenths of the
     ball's radius has touched it, or the run ends and names the contact."""
     finished = 0
-    for seed in range(30 * block, 30 * block + 30):
+    for seed in range(10 * block, 10 * block + 10):
         rng = np.random.default_rng(seed)
         own, size = float(rng.choice([0.0, 0.01, 0.05])), 10.0 ** rng.uniform(-2.0, -0.3)
         scene = scene_of(pc.Sphere(own) if own else pc.Point(), pc.Sphere(size), side=1, restitution=0.5)
@@ -352,7 +352,7 @@ def test_no_step_flies_through_a_ball(block):
         run = pc.simulate(scene, state, duration, method="Moreau", step=step)
         assert (run.status == 0 and touches(run)) or (run.status == -9 and "'c'" in run.message), (seed, run.message)
         finished += run.status == 0
-    assert finished >= 15
+    assert finished >= 4
 
 
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
@@ -430,7 +430,7 @@ def test_a_plate_is_passed_from_below_and_touched_from_above(method):
 # ------------------------------------------------------------------------------------------------- steppers
 
 
-@pytest.mark.parametrize("case", range(8))
+@pytest.mark.parametrize("case", range(4))
 def test_rings_that_tumble(case):
     """A ring's lowest point in closed form: its other stationary points, above and on the far side of the tube, are
     never taken for it, however often it turns over."""
@@ -557,7 +557,7 @@ def test_starts_inside(depth, speed, told, options):
     assert run.q[-1, 0] == pytest.approx(fallen if told else radius, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_starts_slightly_inside_touch_in_every_method(seed):
     """At rest by up to 4 mm, where they come in, by up to 0.1 mm. What rested deeper than 1e-6 of the length fell."""
     rng = np.random.default_rng(seed)

@@ -522,7 +522,7 @@ def test_two_places_that_become_one(width, flat):
     assert run.status in (-1, -3) and 0.1 < run.t[-1] < 1.5
     assert "'left'" in run.message and "'right'" in run.message and "together" in run.message
     assert 'method="Moreau"' in run.message
-    stepped = pc.simulate(scene, state, 1.5, method="Moreau", dt=1e-3)
+    stepped = pc.simulate(scene, state, run.t[-1] + 0.05, method="Moreau", dt=1e-3)
     assert stepped.status == 0
     # in m, of 0.4: up to there both are the same, but for the error of steps
     near = np.searchsorted(stepped.t, run.t[-1])

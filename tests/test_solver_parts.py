@@ -201,7 +201,7 @@ def test_minima_of_barriers(pressure, seed):
     assert pressure > 1.0 or point[k] > 0.0
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(10))
 def test_forces_far_from_the_least_are_found(seed):
     """A load that only a press along a self-stress holds, 30 to 1000 times as hard: the cone widens slowly along it."""
     rng = np.random.default_rng(seed)

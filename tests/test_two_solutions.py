@@ -126,7 +126,7 @@ def ball_in_groove(seed, friction):
 
 
 @pytest.mark.parametrize("friction", [pc.NoSlip(), pc.Coulomb(0.8), pc.Coulomb(3.0)], ids=str)
-@pytest.mark.parametrize("seed", range(1, 8))
+@pytest.mark.parametrize("seed", (1, 3, 6))
 def test_a_ball_is_not_caught_in_a_groove(seed, friction):
     """As it strikes, forces of any size between the flanks could hold it there at once, and it rolls up the other one
     instead. What is left of rebounds that grow ever lower comes to rest (seed 3)."""

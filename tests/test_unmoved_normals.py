@@ -152,7 +152,7 @@ def test_a_tangent_along_which_nothing_moves(mu, options):
     [pc.Coulomb(0.5, spinning=0.01), pc.Coulomb(0.5, spinning=0.01, rolling=0.01), pc.NoSlip(spinning=0.01)],
     ids=str,
 )
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_arm_in_a_plane_cannot_spin_about_the_normal(seed, law, bilateral):
     """Three links whose axes are parallel, in axes of the world in which the cosines between them and the normal are
     round-off: the contact resists no spinning, and both methods tell the same motion."""

@@ -7,7 +7,6 @@ by `mode_changes` and announce events by `reports`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from operator import sub
 
 import numpy as np
@@ -42,7 +41,7 @@ from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
 from .penetration import Penetration
 from .reports import Reports
-from .results import END_OF_CONTOUR, FAILURES, OVERLAPS_AT_END, Stop
+from .results import END_OF_CONTOUR, OVERLAPS_AT_END, Stop
 from .runge_kutta import RungeKutta
 from .slip_onset import SlipOnset
 
@@ -188,33 +187,6 @@ class Transitions:
 
     def switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c has reached zero at t. chosen: whether no other redundant forces would do."""
-        return self._or_jam(t, [c], lambda: self._switch(t, c, kind, chosen))
-
-    def _or_jam(self, t: float, items: list[int], change: Callable[[], float]) -> float:
-        """The new time after this change of modes, of these items. Where no forces are left in the modes to come, slip
-        has jammed: an impact without collision ends it, or, where the force that turns round is zero, that of the
-        items ends at once."""
-        system = self.system
-        before, state = system.contact_int.copy(), system.stage_state.copy()
-        try:
-            return change()
-        except Stop as stop:
-            if stop.code != FAILURES[NO_FORCE][0]:
-                raise
-            closed = before[:, MODE] != FREE
-            system.contact_int[closed] = before[closed]
-            self.rk.load(state)
-            self.changes.evaluate_rows(t)
-            after = self.impacts.jam(t)
-            if after is not None:
-                return after
-            jammed = [i for i in items if i < system.nc and before[i, MODE] == SLIPPING]
-            if not jammed:
-                raise
-            self.changes.end_jams(t, jammed)
-            return self.onset.start(t)
-
-    def _switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
         if c < self.system.nc and self.system.contact_int[c, MODE] == FREE:
             if c in self.open.overlapping:
                 raise touch_elsewhere(t, self.reports.names[c], OVERLAPS_AT_END)

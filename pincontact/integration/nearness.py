@@ -34,6 +34,7 @@ from ..layout import (
 from .accuracy import SHALLOW
 
 if TYPE_CHECKING:
+    from ..contours.motion import Motion
     from ..dynamics.system import System
     from ..geometry.search import Candidate
     from .run_system import RunSystem
@@ -76,16 +77,42 @@ def touching_order(gap: float, rate: float, h: float, slack: float) -> tuple[flo
     return min(gap + h * rate, 0.0) if gap >= -slack else 0.0, abs(gap)
 
 
+def instants(t: float, h: float) -> list[float]:
+    """Times in s from t up to t + h at which drives are looked at."""
+    return [t + h * (i + 0.5) / _INSTANTS for i in range(_INSTANTS)]
+
+
+class Drives:
+    """How fast prescribed motions go in the last step that was asked for, found once for all contacts."""
+
+    def __init__(self) -> None:
+        self._step = math.nan, math.nan
+        self._sizes: dict[Motion, np.ndarray] = {}
+
+    def sizes(self, motion: Motion, t: float, h: float) -> np.ndarray:
+        """(4, n) speed in m/s, turning in rad/s, and the sizes of the rates of both, at `instants`."""
+        if self._step != (t, h):
+            self._step = t, h
+            self._sizes.clear()
+        if motion not in self._sizes:
+            rows = np.array([motion.evaluate(when)[12:24] for when in instants(t, h)]).reshape(-1, 4, 3)
+            self._sizes[motion] = np.linalg.norm(rows, axis=2).T
+        return self._sizes[motion]
+
+
 class Nearness:
     """What is known of the distance of the bodies of one contact, which is open, or of that beside the place at which
     they touch.
 
     search: as that of another contact of the same contours, if there is one; taken: other contacts of the same
-    contours, and the contact itself where it is closed: what is looked for is not there. t: time in s.
+    contours, and the contact itself where it is closed: what is looked for is not there. t: time in s; drives: those of
+    all contacts.
     """
 
-    def __init__(self, system: RunSystem, c: int, t: float, search: NearestSearch | None = None) -> None:
-        self.system, self.c, self.contact = system, c, system.contacts[c]
+    def __init__(
+        self, system: RunSystem, c: int, t: float, drives: Drives, search: NearestSearch | None = None
+    ) -> None:
+        self.system, self.c, self.contact, self._drives = system, c, system.contacts[c], drives
         self.is_open = bool(system.modes[c] == FREE)
         self.taken = of_same_contours(system, c) + ([] if self.is_open else [c])
         self.search = search
@@ -163,15 +190,14 @@ class Nearness:
         centre = system.frames[2 * self.c + self.side, ORIGIN]
         for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
             contour, u = body.contour, system.location[self.c, 2 * (side % 2) :][: body.contour.dimension]
-            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN]))
-            reach += self.whole.extent if self.whole is not None else 0.0
-            for i in range(_INSTANTS if body.motion is not None or contour.time_dependent else 0):
-                when = t + h * (i + 0.5) / _INSTANTS
-                if body.motion is not None:
-                    row = body.motion.evaluate(when)
-                    speed = max(speed, float(np.linalg.norm(row[12:15]) + reach * np.linalg.norm(row[15:18])))
-                    change = max(change, float(np.linalg.norm(row[18:21]) + reach * np.linalg.norm(row[21:24])))
-                if contour.time_dependent:
+            if body.motion is not None:
+                reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN]))
+                reach += self.whole.extent if self.whole is not None else 0.0
+                sizes = self._drives.sizes(body.motion, t, h)
+                speed = max(speed, float((sizes[0] + reach * sizes[1]).max()))
+                change = max(change, float((sizes[2] + reach * sizes[3]).max()))
+            if contour.time_dependent:
+                for when in instants(t, h):
                     values = contour.evaluate(u.tolist(), when, int(system.side_int[side, CHART]))
                     speed = max(speed, float(np.linalg.norm(values[F_T])))
                     change = max(change, float(np.linalg.norm(values[F_TT])))

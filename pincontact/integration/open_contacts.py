@@ -38,7 +38,7 @@ from ..layout import (
 from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
-from .nearness import Nearness, Place, of_same_contours, touching_order
+from .nearness import Drives, Nearness, Place, of_same_contours, touching_order
 from .results import FLIES_THROUGH, TOUCHES_AROUND, TOUCHES_TWICE, TOUCHES_UNSEEN
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -84,6 +84,7 @@ class OpenContacts:
         self._known: dict[tuple[int, bool], Nearness] = {}
         # closed contacts whose bodies may touch elsewhere are among these
         self._searched = [c for c in range(system.nc) if system.contact_int[c, UNILATERAL] and is_searched(system, c)]
+        self._drives = Drives()
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
@@ -358,7 +359,7 @@ class OpenContacts:
         key, system = (c, bool(self.system.modes[c] == FREE)), self.system
         if key not in self._known:
             others = (known for known in self._known.values() if known.has_the_bodies_of(c))
-            self._known[key] = Nearness(system, c, t, next((known.search for known in others), None))
+            self._known[key] = Nearness(system, c, t, self._drives, next((known.search for known in others), None))
         return self._known[key]
 
     def _distance(self, known: Nearness, t: float) -> float:

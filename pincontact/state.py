@@ -424,7 +424,9 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         side = side or told
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
-        found = [one for one in found if one.gap >= 0.0] or (found if is_beyond else _beside(single, t, guess) or found)
+        # or, as points may be, behind a contour
+        as_found = is_beyond or single.contact_int[0, K1] == 0
+        found = [one for one in found if one.gap >= 0.0] or (found if as_found else _beside(single, t, guess))
     is_nowhere = not found and side != 0 and is_searched(single, 0) and _are_apart(single, t)
     return _Found(found, side, not is_over, is_nowhere)
 
@@ -451,8 +453,7 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    # a point may be behind a contour, and come to its front
-    if every and not (found or single.contact_int[0, K1] == 0):
+    if every and not found:
         raise SingularContactError(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
             f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",

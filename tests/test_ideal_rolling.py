@@ -76,7 +76,8 @@ def test_rod_slides_held_up_by_friction(tangents):
     np.testing.assert_allclose(leaning(run)[slides], np.arccos(height / HALF), rtol=0.0, atol=1e-9)
     np.testing.assert_array_equal(track.normal_force[slides], 0.0)
     assert track.tangential_force[slides].min() >= 3.0
-    assert np.einsum("ij,ij->i", track.force, track.slip_velocity)[slides].max() <= 0.0
+    # where slip begins its speed is round-off
+    assert np.einsum("ij,ij->i", track.force, track.slip_velocity)[slides].max() <= 1e-14
     assert np.abs(track.gap).max() <= 1e-14
     energies = run.energies()
     assert np.abs(energies.balance).max() <= 1e-9

@@ -129,7 +129,7 @@ class EventLocator:
 
         def distances(theta: float) -> np.ndarray:
             exists, _ = system.look(t, step, theta)
-            return np.where(exists, system.contact_real[:nc, DOMAIN], math.nan)
+            return np.where(exists, system.contact_real[:nc, DOMAIN], -1.0)
 
         until, least = 1.0 if crossing is None else crossing.theta, at_end(system)
         before = distances(0.0)

@@ -99,6 +99,11 @@ class Contact:
         return self.first.contour.dimension > self.second.contour.dimension
 
     @property
+    def bodies(self) -> frozenset[tuple[int, Motion | None]]:
+        """What carries the two contours: joints, and prescribed motions."""
+        return frozenset((each.joint, each.motion) for each in (self.first, self.second))
+
+    @property
     def body1(self) -> AttachedContour:
         """The paper's body 1, the contour with fewer parameters; the first one where both have as many."""
         return self.second if self.swapped else self.first

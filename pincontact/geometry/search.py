@@ -14,7 +14,7 @@ from ..contours import Contour
 from ..errors import SingularContactError
 from ..layout import CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SAME_PLACE, SINGULAR
 from ..workspace import Workspace
-from .location import BRANCHES, NO_CLOSED_FORM
+from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 from .planar import pose_of
 
@@ -108,7 +108,9 @@ def find_candidates(
         starts = np.array([guess] if complete else _seeds(system, t, guess)).reshape(-1, 4)
         branches = [1] * len(starts)
     found: list[Candidate] = []
-    every, statuses = stationary_points(system, t, starts, branches, inside=end is None)
+    # of a body on a plane the far side may be over it, and the near one not yet
+    anywhere = end is not None or (beyond and form == ROUND_ON_PLANE)
+    every, statuses = stationary_points(system, t, starts, branches, inside=not anywhere)
     if beyond and not every:
         every, _ = stationary_points(system, t, starts, branches, inside=False)
     for candidate in every:

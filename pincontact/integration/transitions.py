@@ -15,9 +15,11 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
 from ..layout import (
+    DOMAIN,
     DOMAIN_EVENT,
     FREE,
     FRICTION_EVENT,
+    LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -33,11 +35,12 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .accuracy import gap_rate, held_up, may_stop, next_to_nothing
+from .accuracy import gap_rate, gaps_at_once, held_up, may_stop, next_to_nothing
 from .contradictions import apart, jump_apart, jump_into, refuse_apart, touch_elsewhere
 from .impacts import Impacts
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
+from .nearness import places_of
 from .open_contacts import OpenContacts
 from .penetration import Penetration
 from .reports import Reports
@@ -190,8 +193,10 @@ class Transitions:
         if c < self.system.nc and self.system.contact_int[c, MODE] == FREE:
             if c in self.open.overlapping:
                 raise touch_elsewhere(t, self.reports.names[c], OVERLAPS_AT_END)
-            leaps = self.open.has_leapt(c, self.penetration.slack(c))
-            return self._leap(t, c) if leaps else self.impacts.touch(t, c)
+            if self.open.has_leapt(c, self.penetration.slack(c)):
+                return self._leap(t, c)
+            self._hand_over(t, c)
+            return self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_joint(t, c, kind, chosen)
@@ -256,6 +261,21 @@ class Transitions:
             raise Stop(END_OF_CONTOUR, f"t = {t:.9g} s: contact {self.reports.names[c]!r} reached the end of a contour")
         integers[MODE] = FREE
         return self.onset.resolve(t, self.changes.sticking())
+
+    def _hand_over(self, t: float, c: int) -> None:
+        """Open the contacts that are about to reach an end where contact c, of the same two bodies, touches: a body
+        that rolls onto the corner there would stand on both, as far as gaps tell, and stop."""
+        system, bodies = self.system, self.system.contacts[c].bodies
+        # a curved body is as far above it where it is rolled to from here
+        way = math.sqrt(2.0 * float(gaps_at_once(system)[c] * system.contact_real[c, LENGTH]))
+        for i in system.closed():
+            ends = system.contact_int[i, UNILATERAL] and system.contact_real[i, DOMAIN] <= way
+            if not ends or system.contacts[i].bodies != bodies:
+                continue
+            (_, place), (_, other) = places_of(system, [c, i], c)
+            if np.linalg.norm(place - other) <= way:
+                self.reports.announce(t, i, "edge")
+                system.contact_int[i, MODE], self.open.apart[i] = FREE, False
 
     def _lose_load(self, t: float, c: int) -> float:
         """The normal force of contact c is zero: it opens, or the force changes its side, or the contact slips."""

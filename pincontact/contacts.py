@@ -52,6 +52,11 @@ class AttachedContour:
     joint: int
     placement_in_joint: pin.SE3
 
+    @property
+    def carrier(self) -> tuple[int, Motion | None]:
+        """What carries the contour: a joint, and a prescribed motion."""
+        return self.joint, self.motion
+
     def __repr__(self) -> str:
         motion = "" if self.motion is None else f", moved by {self.motion!r}"
         return f"<AttachedContour {self.name!r}: {self.contour!r} on frame {self.frame!r}{motion}>"
@@ -101,7 +106,7 @@ class Contact:
     @property
     def bodies(self) -> frozenset[tuple[int, Motion | None]]:
         """What carries the two contours: joints, and prescribed motions."""
-        return frozenset((each.joint, each.motion) for each in (self.first, self.second))
+        return frozenset((self.first.carrier, self.second.carrier))
 
     @property
     def body1(self) -> AttachedContour:

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import (
-    CHART,
-    DOMAIN,
     LENGTH,
     MODE,
     MU,
@@ -46,7 +44,7 @@ _COARSER = 4.0
 _LASTING, _SLOW_REBOUNDS = 1e2, 1e-2
 # What touches at once, or comes to its end, is as near as so many times that, or this part of the accuracy of gaps:
 # motions keep their symmetries up to round-off, whatever their error.
-_AT_ONCE, _AT_ONCE_ROUND_OFF = 1e-3, 100.0
+_AT_ONCE, AT_ONCE_ROUND_OFF = 1e-3, 100.0
 # The same part where viscous friction makes rebounds ever shorter: each one left out takes the root of its height in
 # speed.
 _RESOLVED_VISCOUS = 1e-3
@@ -106,43 +104,17 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 
     Gaps are computed from the configuration to round-off, however large its error is.
     """
-    return np.maximum(system.lowest_rebounds, _round_off(system))
+    return np.maximum(system.lowest_rebounds, round_off(system))
 
 
 def gaps_at_once(system: RunSystem) -> np.ndarray:
     """(items,) how large the gaps are, in m or rad, of what touches in the same instant as others."""
-    least = np.maximum(_AT_ONCE * system.gap_accuracy, _AT_ONCE_ROUND_OFF * _round_off(system))
+    least = np.maximum(_AT_ONCE * system.gap_accuracy, AT_ONCE_ROUND_OFF * round_off(system))
     return np.maximum(least, gap_resolution(system))
 
 
-def at_end(system: RunSystem) -> float:
-    """How near to the end of a domain a contact is at it, in m or rad."""
-    return _AT_ONCE_ROUND_OFF * _round_off(system)
-
-
-def comes_in(system: RunSystem, c: int) -> bool:
-    """Whether the points of contact c are at an end of the contours' domains in the last evaluation, and about to come
-    in."""
-    if abs(float(system.contact_real[c, DOMAIN])) > at_end(system):
-        return False
-    rate, least = 0.0, math.inf
-    for i, (u, moves) in enumerate(zip(system.location[c].tolist(), system.rates[c].tolist())):
-        side = 2 * c + i // 2
-        if system.side_int[side, CHART] != 0:
-            # other charts stay away from ends
-            continue
-        low, high = system.side_domain[side, 2 * (i % 2) : 2 * (i % 2) + 2].tolist()
-        if min(u - low, high - u) < least:
-            least, rate = min(u - low, high - u), moves if u - low < high - u else -moves
-    return rate > 0.0
-
-
-def deepest_at_end(system: RunSystem, c: int) -> float:
-    """How far in m bodies may be inside each other where contact c comes into a domain, and touch there."""
-    return max(float(system.gap_accuracy[c]), APART_AT_END * float(system.contact_real[c, LENGTH]))
-
-
-def _round_off(system: RunSystem) -> float:
+def round_off(system: RunSystem) -> float:
+    """Of gaps in m, and of distances from ends."""
     return _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()]))
 
 

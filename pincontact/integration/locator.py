@@ -34,8 +34,9 @@ from ..layout import (
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import at_end, deepest_at_end, gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
+from .accuracy import gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
 from .crossings import CROSSES, ENDS, LEFT_OUT, MINIMUM, NOT_SOUGHT, UNKNOWN, find_crossings, find_minima
+from .ends import at_end, deepest_at_end, passes_by
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import look_below_zero
@@ -204,7 +205,7 @@ class EventLocator:
     def _ends_mode(self, t: float, step: float, c: int, kind: int, known: dict[tuple[int, int], float]) -> bool:
         """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does
         between points inside both domains only, and a contact that comes into a domain if its bodies touch, or overlap,
-        but not from behind. known: zeros, which is added to."""
+        but neither from behind nor where they pass by. known: zeros, which is added to."""
         if not self._is_way(c, kind) or c >= self.system.nc:
             return True
         system = self.system
@@ -220,6 +221,7 @@ class EventLocator:
             ends = domain < -gap <= system.contact_real.item(c, OVERLAP)
             if ends:
                 self._open.overlapping.add(c)
+        ends = ends and not passes_by(system, c)
         if not ends:
             self._open.passed.add(c)
         return ends

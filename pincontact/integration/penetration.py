@@ -14,7 +14,8 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, UNILATERAL
-from .accuracy import at_end, comes_in, deepest_at_end, gap_rate, gap_resolution, gaps_at_once
+from .accuracy import gap_rate, gap_resolution, gaps_at_once
+from .ends import at_end, comes_in, deepest_at_end, passes_by
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -62,8 +63,10 @@ class Penetration:
         about to be."""
         system, gap, least = self._rk.system, float(self._rk.system.gaps[c, 0]), float(gaps_at_once(self._rk.system)[c])
         if comes_in(system, c):
-            return -max(least, deepest_at_end(system, c)) <= gap <= least
-        return abs(gap) <= least and bool(system.contact_real[c, DOMAIN] > at_end(system))
+            touches = -max(least, deepest_at_end(system, c)) <= gap <= least
+        else:
+            touches = abs(gap) <= least and bool(system.contact_real[c, DOMAIN] > at_end(system))
+        return touches and not passes_by(system, c)
 
     def has_stayed_closed(self, c: int) -> bool:
         """Whether contact c has opened, and the gap is and was zero within its error since, the last trial step

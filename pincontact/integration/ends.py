@@ -17,8 +17,8 @@ from .nearness import places_of
 if TYPE_CHECKING:
     from .run_system import RunSystem
 
-# Directions whose cosine is smaller than this are at right angles.
-_ACROSS = 1e-6
+# Directions whose cosine is smaller than this are at right angles: what slides falls a little where it changes faces.
+_ACROSS = 1e-4
 
 
 def at_end(system: RunSystem) -> float:

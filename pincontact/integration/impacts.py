@@ -31,6 +31,7 @@ from ..layout import (
 )
 from .accuracy import count_rebound, gap_rate, gap_resolution, may_stop, rest_speed
 from .contradictions import crushed
+from .ends import comes_in
 from .penetration import Penetration
 from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
@@ -66,8 +67,8 @@ class Impacts:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
         system, penetration, modes = self.system, self.penetration, self.system.contact_int[:, MODE]
         # whatever touches at the same instant, by symmetry, takes part; what dips does not, whatever its depth
-        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and self.onset.open.apart[i]]
-        others = [i for i in others if self._is_due(i) and i not in penetration.contacts]
+        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and i not in penetration.contacts]
+        others = [i for i in others if (self.onset.open.apart[i] or comes_in(system, i)) and self._is_due(i)]
         touching = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
         unopened: dict[int, int] = {}

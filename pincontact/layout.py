@@ -213,11 +213,12 @@ FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
 # side_int; POOL_ADDRESS, MOTION_POOL: of further numbers of the contour and its motion; EVALUATOR, MOTION_EVALUATOR:
-# of the kernels that evaluate them
+# of the kernels that evaluate them; CARRIER: a number for what carries it, a joint and a motion
 (
     KIND,
     CHART,
     JOINT,
+    CARRIER,
     MOTION_KIND,
     TIME_DEPENDENT,
     POOL_ADDRESS,
@@ -227,8 +228,8 @@ CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
     MOTION_POOL_SIZE,
     EVALUATOR,
     MOTION_EVALUATOR,
-) = range(12)
-SIDE_INTS = 12
+) = range(13)
+SIDE_INTS = 13
 
 # joint_int: indices in q and v, direction of motion (0 without dry friction), end at which it is held (0: at none)
 JOINT_Q, JOINT_V, JOINT_SIGN, JOINT_END = range(4)

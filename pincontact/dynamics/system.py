@@ -24,6 +24,7 @@ from ..layout import (
     ALONG_BODY_2,
     ANISOTROPIC,
     ASPECT,
+    CARRIER,
     CHART,
     CLOSED_FORM,
     EVALUATOR,
@@ -185,6 +186,7 @@ class System(Workspace):
         self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
         self.python_drives: list[tuple[int, str, Motion]] = []
         self._pools: list[np.ndarray] = []
+        self._carriers: dict[tuple[int, Motion | None], int] = {}
         for c, contact in enumerate(self.contacts):
             integers, numbers = self.contact_int[c], self.contact_real[c]
             one, two = contact.body1, contact.body2
@@ -223,6 +225,7 @@ class System(Workspace):
         pool = np.array(contour.pool if contour.pool.size else [0.0], dtype=float)
         self._pools.append(pool)
         integers[KIND], integers[CHART], integers[JOINT] = contour.kind, 0, attached.joint
+        integers[CARRIER] = self._carriers.setdefault(attached.carrier, len(self._carriers))
         integers[TIME_DEPENDENT] = int(contour.time_dependent)
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
         integers[EVALUATOR] = kernel_address(contour.evaluator)

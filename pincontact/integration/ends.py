@@ -6,13 +6,16 @@ gaps are known, and may seem to strike it.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import CHART, DOMAIN, LENGTH
-from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, gap_rate, rest_speed, round_off
-from .nearness import places_of
+from ..geometry.carriers import ORIGIN
+from ..geometry.small import dot, norm
+from ..jit import kernel
+from ..layout import CARRIER, CHART, DOMAIN, LENGTH
+from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, rest_speed, round_off
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
@@ -36,43 +39,95 @@ def comes_in(system: RunSystem, c: int) -> bool:
     in."""
     if abs(float(system.contact_real[c, DOMAIN])) > at_end(system):
         return False
-    side, a, inward = _nearest_end(system, c)
+    side, a, inward = nearest_end(system, c)
     return bool(inward * system.rates[c, 2 * side + a] > 0.0)
 
 
 def passes_by(system: RunSystem, c: int) -> bool:
-    """Whether contact c is at an end, as far as gaps are known, and another contact of the same bodies, which are not
-    approaching each other there, keeps them from coming in: faces of a body that meet at a convex corner."""
-    contact, known_to = system.contacts[c], float(system.gap_accuracy[c])
+    """Whether contact c is at an end, as far as gaps are known, and is kept out there in the last evaluation."""
+    known_to, nc = float(system.gap_accuracy[c]), system.nc
     if not abs(float(system.contact_real[c, DOMAIN])) <= known_to:
         return False
-    side, a, inward = _nearest_end(system, c)
-    into = inward * system.derivatives[2 * c + side, 1 + a]
-    slowest = -rest_speed(system) - _ACROSS * abs(gap_rate(system, c))
-    owner = (contact.body1, contact.body2)[side].carrier
-    for i, other in enumerate(system.contacts):
-        if i == c or other.bodies != contact.bodies or abs(float(system.gaps[i, 0])) > known_to:
-            continue
-        if system.contact_real[i, DOMAIN] < -known_to or gap_rate(system, i) < slowest:
-            continue
-        # away from the body whose contour ends; e_3 leads from body 1 to body 2
-        away = system.basis[i, 2] if other.body1.carrier == owner else -system.basis[i, 2]
-        place, there = (points[1 - side] for points in places_of(system, [c, i], c))
-        near = np.linalg.norm(place - there) <= system.contact_real[c, LENGTH] * APART_AT_END
-        if near and into @ away < -_ACROSS * np.linalg.norm(into):
+    rates = np.einsum("ni,ni->n", system.basis[:nc, 2], system.slip[:nc])
+    near = system.contact_real[c, LENGTH] * APART_AT_END
+    domains = system.contact_real[:nc, DOMAIN]
+    return bool(is_kept_out(system, c, system.gaps[:nc, 0], rates, domains, known_to, near, rest_speed(system)))
+
+
+@kernel
+def is_kept_out(system, c, gaps, rates, ways, known_to, near, rest):
+    """Whether another contact keeps contact c from coming in over the end at which it is: one that touches between the
+    same bodies, which do not approach each other there, and lies between them.
+
+    gaps, rates, ways (nc,): in m, m/s, and to the nearest end of the contours' domains; known_to: what is zero in them;
+    near: how far in m is at the same place; rest: a speed in m/s that is none. Directions are those of the last
+    evaluation. What slides falls a little where it changes faces.
+    """
+    slowest = -rest - _ACROSS * abs(rates[c])
+    for i in range(gaps.shape[0]):
+        touches = i != c and abs(gaps[i]) <= known_to and ways[i] >= -known_to
+        if touches and rates[i] >= slowest and _is_between(system, c, i, ways, known_to, near):
             return True
     return False
 
 
-def _nearest_end(system: RunSystem, c: int) -> tuple[int, int, float]:
+@kernel
+def _is_between(system, c, i, ways, known_to, near):
+    """Whether the tangent plane of contact i lies between the bodies of contact c where this is: the face that ends
+    there is behind it, and no other one that does comes before it."""
+    if not (_is_beside(system, c, i, near) and _rise(system, c, i) < -_ACROSS):
+        return False
+    for j in range(ways.shape[0]):
+        if abs(ways[j]) <= known_to and _is_beside(system, c, j, near) and _rise(system, j, i) > _ACROSS:
+            return False
+    return True
+
+
+@kernel
+def _is_beside(system, c, i, near):
+    """Whether contact i is between the bodies of contact c, and at the place of what comes to an end there."""
+    other = 1 - nearest_end(system, c)[0]
+    owner, guest = _carrier(system, c, 1 - other), _carrier(system, c, other)
+    same = _carrier(system, i, other) == guest and _carrier(system, i, 1 - other) == owner
+    if not (same or (_carrier(system, i, 1 - other) == guest and _carrier(system, i, other) == owner)):
+        return False
+    one, two, square = 2 * c + other, 2 * i + (other if same else 1 - other), 0.0
+    for k in range(3):
+        between = system.frames[one, ORIGIN, k] - system.frames[two, ORIGIN, k]
+        square += (between + system.derivatives[one, 0, k] - system.derivatives[two, 0, k]) ** 2
+    return square <= near * near
+
+
+@kernel
+def _rise(system, c, i):
+    """Cosine of the angle between the way into the face that ends where contact c is and the normal of contact i, of
+    the same bodies, away from the body that has this face."""
+    side, a, inward = nearest_end(system, c)
+    into = system.derivatives[2 * c + side, 1 + a]
+    # e_3 leads from body 1 to body 2
+    away = inward if _carrier(system, i, 0) == _carrier(system, c, side) else -inward
+    return away * dot(into, system.basis[i, 2]) / norm(into)
+
+
+@kernel
+def _carrier(system, c, side):
+    return system.side_int[2 * c + side, CARRIER]
+
+
+@kernel
+def nearest_end(system, c):
     """Side, 0 or 1, and parameter, 0 or 1, in which contact c is nearest to an end, and the sign of the way in."""
-    best, least = (0, 0, 0.0), np.inf
-    for i, u in enumerate(system.location[c].tolist()):
-        side = 2 * c + i // 2
-        if system.side_int[side, CHART] != 0:
+    side, a, inward, least = 0, 0, 0.0, math.inf
+    for i in range(4):
+        body = 2 * c + i // 2
+        if system.side_int[body, CHART] != 0:
             # other charts stay away from ends
             continue
-        low, high = system.side_domain[side, 2 * (i % 2) : 2 * (i % 2) + 2].tolist()
+        u, low, high = (
+            system.location[c, i],
+            system.side_domain[body, 2 * (i % 2)],
+            system.side_domain[body, 2 * (i % 2) + 1],
+        )
         if min(u - low, high - u) < least:
-            least, best = min(u - low, high - u), (i // 2, i % 2, 1.0 if u - low < high - u else -1.0)
-    return best
+            side, a, inward, least = i // 2, i % 2, 1.0 if u - low < high - u else -1.0, min(u - low, high - u)
+    return side, a, inward

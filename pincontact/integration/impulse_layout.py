@@ -117,6 +117,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
+    # the same way when something touches
+    "touch_ways": (REALS, "contacts"),
     # where users' functions have their contours then, see `impulse_drives`
     "start_drives": (REALS, "sides", MOTION_SIZE),
     # what resisted motions do at the step's start, and after the trial step, see SLIP; 0 where there are none

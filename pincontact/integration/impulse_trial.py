@@ -66,6 +66,7 @@ from .impulse_layout import (
 from .impulse_leaps import has_come_to_another, is_deeper, leaps
 from .impulse_problem import least_way
 from .impulse_review import AGAIN, ANEW, may_rest
+from .impulse_units import END_ROOM, passes_by
 from .impulse_viscous import begin_sharing
 from .impulse_works import energy_put_right
 from .impulses import advance, leave_turning_axes, predict_midpoint
@@ -92,8 +93,6 @@ _LOST = 0.08
 _INDEPENDENT = 1e-9
 # A gap below this, relative to the contact's length, is zero.
 _ON_SURFACE = 1e-13
-# Nearer to an end of its domain (in its units) a point is at it.
-_AT_END = 1e-12
 
 call_task = kernel_caller(INTEGER, SYSTEM.type, INTEGER, REAL, REAL)
 _call_on_step = kernel_caller(INTEGER, SYSTEM.type, STEP.type)
@@ -481,8 +480,9 @@ def _review_end(system, step, h):
         step.edge_time[c] = -1.0
         if contact[MODE] == FREE:
             gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
-            overlaps = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
-            if overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h):
+            overlaps = step.start_domain[c] < -END_ROOM <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
+            overlaps = overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h)
+            if overlaps and passes_by(system, step, c, 1.0) == 0:
                 return OVERLAPS_AT_END
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
@@ -493,7 +493,7 @@ def _review_end(system, step, h):
             contact[MODE], step.touch_time[c] = FREE, -1.0
             continue
         domain, before = numbers[DOMAIN], step.start_domain[c]
-        if domain >= -_AT_END:
+        if domain >= -END_ROOM:
             continue
         if contact[UNILATERAL] == 0:
             status = CONTOUR_ENDS

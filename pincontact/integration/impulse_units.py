@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 
+from ..arrays import as_array
 from ..callback import separate_kernel
 from ..dynamics.sliding import coefficient_at
-from ..geometry.small import dot
-from ..jit import NOTHING, STEPPING, kernel
+from ..geometry.small import dot, norm
+from ..jit import CALLED, INTEGER, NOTHING, REAL, STEPPING, kernel
 from ..layout import (
     CURVE_SPEED,
     DOMAIN,
@@ -28,16 +29,22 @@ from ..layout import (
     UNILATERAL,
 )
 from ..linalg import inner
+from .accuracy import APART_AT_END, REST
+from .ends import is_kept_out
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, STEP
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
 TOUCHING = 1e-12
+# Nearer to an end of its domain (in its units) a point is at it.
+END_ROOM = 1e-12
 
 
 @kernel
 def _touch_instant(gap, speed, rate, touching, h):
-    """When gap + speed s + rate s^2 / 2 falls through zero for s in [0, h]; negative if it does not."""
-    if gap <= touching and speed <= 0.0:
+    """When gap + speed s + rate s^2 / 2 falls through `touching`, what is no gap, for s in [0, h]; negative if it does
+    not."""
+    gap -= touching
+    if gap <= 0.0 and speed <= 0.0:
         return 0.0 if speed < 0.0 or rate <= 0.0 else -1.0
     discriminant = speed * speed - 2.0 * rate * gap
     if discriminant < 0.0:
@@ -54,12 +61,26 @@ def _touch_instant(gap, speed, rate, touching, h):
 
 
 @kernel
-def _within_domains(start, middle, instant, ahead):
-    """Whether the points of a contact are inside both domains at an instant of the step, by their way to the nearest
-    end at its start and so much later."""
-    if start == math.inf or middle == math.inf:
-        return middle >= 0.0
-    return (start + (middle - start) * instant / ahead if ahead > 0.0 else start) >= 0.0
+def _way_at(start, later, part):
+    """The way of a contact to the nearest end after this part of the time between the step's start and the evaluated
+    state, by the ways there."""
+    return later if start == math.inf or later == math.inf else start + (later - start) * part
+
+
+@separate_kernel(INTEGER, SYSTEM.type, STEP.type, INTEGER, REAL, when=CALLED)
+def passes_by(system, step, c, part):
+    """Whether contact c is at an end after this part of the time between the step's start and the evaluated state, as
+    far as positions are known, and is kept out there; 0 or 1."""
+    numbers, start, ways = system.contact_real, step.start_domain, step.touch_ways
+    for i in range(system.sizes.nc):
+        ways[i] = _way_at(start[i], numbers[i, DOMAIN], part)
+    known_to = APART_AT_END * numbers[c, LENGTH]
+    if not abs(ways[c]) <= known_to:
+        return 0
+    # as near as what slides comes in the step
+    near = known_to + step.numbers.h * norm(system.slip[c])
+    rates = as_array(step.start_normal)[:, 0]
+    return 1 if is_kept_out(system, c, step.start_gap, rates, ways, known_to, near, REST) else 0
 
 
 @kernel
@@ -108,7 +129,10 @@ def gather_contacts(system, step):
             instant = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
             if instant < 0.0 or step.behind[c] != 0:
                 continue
-            if not _within_domains(step.start_domain[c], contact_real[c, DOMAIN], instant, ahead):
+            part = instant / ahead if ahead > 0.0 else 0.0
+            if _way_at(step.start_domain[c], contact_real[c, DOMAIN], part) < -END_ROOM:
+                continue
+            if contact_real[c, DOMAIN] < math.inf and passes_by(system, step, c, part) != 0:
                 continue
         if contact_real[c, CURVE_SPEED] > 0.0 and mode != STICK:
             basis, slip = system.basis[c], system.slip[c]

@@ -65,7 +65,7 @@ from ..layout import (
 )
 from ..linalg import inner, unwhiten
 from ..workspace import flat
-from .accuracy import SHALLOW
+from .accuracy import APART_AT_END, SHALLOW
 from .actuators import find_actuation
 from .impulse_drives import note_drives
 from .impulse_equations import equation_impulses
@@ -88,7 +88,7 @@ from .impulse_layout import (
 from .impulse_leaps import LEAP, is_deeper
 from .impulse_problem import least_way
 from .impulse_review import ANEW, DONE, review, slip_at_end
-from .impulse_units import TOUCHING
+from .impulse_units import END_ROOM, TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_viscous import add_viscous_impulses, shares_viscous
 from .impulse_works import add_works, count_energy_made, energy_made, velocity_change
@@ -458,14 +458,14 @@ def commit_contact(system, step, c, stepped):
     # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone
     # over to other stationary points, touches after it has been on the near side only, as far as steps tell
     behind, h = False, step.numbers.h
-    if step.behind[c] != 0 or step.start_domain[c] < 0.0:
+    if step.behind[c] != 0 or step.start_domain[c] <= APART_AT_END * system.contact_real[c, LENGTH]:
         behind = is_deeper(system, step, c, gap, rate, h)
     elif was_closed:
         # opened by what struck elsewhere, after this had come inside: it touches in the next step
         behind = gap < -SHALLOW * system.contact_real[c, LENGTH]
     elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
         behind = is_deeper(system, step, c, gap - before, rate, LEAP * h)
-    step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
+    step.behind[c] = 1 if mode == FREE and gap < 0.0 and domain >= -END_ROOM and behind else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)
     contact, known, changed = system.contact_int[c], step.known[c], False

@@ -117,7 +117,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
-    # the same way when something touches
+    # s after the step's start at which an open contact touches, negative where it does not; that way then
+    "instant": (REALS, "contacts"),
     "touch_ways": (REALS, "contacts"),
     # where users' functions have their contours then, see `impulse_drives`
     "start_drives": (REALS, "sides", MOTION_SIZE),

@@ -124,9 +124,12 @@ def gather_contacts(system, step):
             if step.counts.has_trend == 0:
                 # whether it touches depends on what holds the bodies
                 continue
-            rate = inner(system.rows[c, 2], step.transported_trend, nv) + system.bias[c, 2]
-            touching = TOUCHING * contact_real[c, LENGTH]
-            instant = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
+            if step.counts.has_trend != MEAN_VELOCITY or step.instant[c] < 0.0:
+                rate = inner(system.rows[c, 2], step.transported_trend, nv) + system.bias[c, 2]
+                touching = TOUCHING * contact_real[c, LENGTH]
+                step.instant[c] = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
+            # what impulses change does not change when they began: touches in one instant stay so
+            instant = step.instant[c]
             if instant < 0.0 or step.behind[c] != 0:
                 continue
             part = instant / ahead if ahead > 0.0 else 0.0

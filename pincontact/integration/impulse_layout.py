@@ -117,7 +117,7 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
-    # s after the step's start at which an open contact touches, negative where it does not; that way then
+    # s after the step's start at which an open contact touches, see `impulse_units`; that way then
     "instant": (REALS, "contacts"),
     "touch_ways": (REALS, "contacts"),
     # where users' functions have their contours then, see `impulse_drives`

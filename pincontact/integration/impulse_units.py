@@ -35,29 +35,31 @@ from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
 TOUCHING = 1e-12
+# Instants of a step: an impulse is spread over it, and what does not happen in it.
+SPREAD, NEVER = -1.0, math.inf
 # Nearer to an end of its domain (in its units) a point is at it.
 END_ROOM = 1e-12
 
 
 @kernel
 def _touch_instant(gap, speed, rate, touching, h):
-    """When gap + speed s + rate s^2 / 2 falls through `touching`, what is no gap, for s in [0, h]; negative if it does
+    """When gap + speed s + rate s^2 / 2 falls through `touching`, what is no gap, for s in [0, h]; NEVER if it does
     not."""
     gap -= touching
     if gap <= 0.0 and speed <= 0.0:
-        return 0.0 if speed < 0.0 or rate <= 0.0 else -1.0
+        return 0.0 if speed < 0.0 or rate <= 0.0 else NEVER
     discriminant = speed * speed - 2.0 * rate * gap
     if discriminant < 0.0:
         # below the surface for the whole parabola, or above it
-        return 0.0 if gap < 0.0 else -1.0
+        return 0.0 if gap < 0.0 else NEVER
     root = math.sqrt(discriminant)
     if speed < 0.0:
         instant = 2.0 * gap / (root - speed)
     elif rate < 0.0:
         instant = (speed + root) / -rate
     else:
-        return -1.0
-    return instant if instant <= h else -1.0
+        return NEVER
+    return instant if instant <= h else NEVER
 
 
 @kernel
@@ -85,7 +87,7 @@ def passes_by(system, step, c, part):
 
 @kernel
 def _add_unit(step, kind, index, mask, mu, instant):
-    """A new unit, returns its number; instant: when it closes, negative where its impulse is spread over the step."""
+    """A new unit, returns its number; instant: when it closes, or SPREAD."""
     counts = step.counts
     u = counts.units
     unit = step.units[u]
@@ -104,38 +106,56 @@ def _add_unit(step, kind, index, mask, mu, instant):
     return u
 
 
+@kernel
+def _when_it_touches(system, step, c):
+    """When contact c, which is open, closes in the step, SPREAD or NEVER; and which part of the time between the step's
+    start and the evaluated state has passed then."""
+    h, ahead, trend = step.numbers.h, step.numbers.ahead, step.counts.has_trend
+    gap, speed, touching = step.start_gap[c], step.start_normal[c, 0], TOUCHING * system.contact_real[c, LENGTH]
+    if step.behind[c] != 0:
+        return NEVER, 0.0
+    if abs(gap) <= touching and abs(speed) * h <= touching:
+        # at rest on a face that it comes over, or that was carried by others
+        return SPREAD, 1.0
+    if trend == 0:
+        # whether it touches depends on what holds the bodies
+        return NEVER, 0.0
+    if trend != MEAN_VELOCITY or step.instant[c] == NEVER:
+        rate = inner(system.rows[c, 2], step.transported_trend, system.sizes.nv) + system.bias[c, 2]
+        step.instant[c] = _touch_instant(gap, speed, rate, touching, h)
+    # what impulses change does not change when they began: touches in one instant stay so
+    instant = step.instant[c]
+    return instant, instant / ahead if ahead > 0.0 else 0.0
+
+
+@kernel
+def _is_outside(system, step, c, part):
+    """Whether contact c is beside the contours, or kept out at their ends, after this part of the time between the
+    step's start and the evaluated state."""
+    domain = system.contact_real[c, DOMAIN]
+    if _way_at(step.start_domain[c], domain, part) < -END_ROOM:
+        return True
+    return domain < math.inf and passes_by(system, step, c, part) != 0
+
+
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def gather_contacts(system, step):
     """Units of all contacts that take part."""
-    nv, h, ahead = system.sizes.nv, step.numbers.h, step.numbers.ahead
-    contact_int, contact_real = system.contact_int, system.contact_real
+    h, contact_int, contact_real = step.numbers.h, system.contact_int, system.contact_real
     start_mode, sticking = step.start_mode, step.sticking
     for c in range(system.sizes.nc):
         mu, two, mode = contact_real[c, MU], contact_int[c, TANGENTS] == 2, start_mode[c]
         bilateral = contact_int[c, UNILATERAL] == 0
         kind, mask = ON_CONTACT, 4 if mu == 0.0 else (7 if two else 5)
-        instant = -1.0
+        instant = SPREAD
         if bilateral:
             # the cone's normal carries a given impulse: the disk's radius is mu times it
             kind, mask = ON_LOADED, 3 if two else 1
             if mu == 0.0 or mu == math.inf:
                 continue
         elif mode == FREE:
-            if step.counts.has_trend == 0:
-                # whether it touches depends on what holds the bodies
-                continue
-            if step.counts.has_trend != MEAN_VELOCITY or step.instant[c] < 0.0:
-                rate = inner(system.rows[c, 2], step.transported_trend, nv) + system.bias[c, 2]
-                touching = TOUCHING * contact_real[c, LENGTH]
-                step.instant[c] = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
-            # what impulses change does not change when they began: touches in one instant stay so
-            instant = step.instant[c]
-            if instant < 0.0 or step.behind[c] != 0:
-                continue
-            part = instant / ahead if ahead > 0.0 else 0.0
-            if _way_at(step.start_domain[c], contact_real[c, DOMAIN], part) < -END_ROOM:
-                continue
-            if contact_real[c, DOMAIN] < math.inf and passes_by(system, step, c, part) != 0:
+            instant, part = _when_it_touches(system, step, c)
+            if instant == NEVER or _is_outside(system, step, c, part):
                 continue
         if contact_real[c, CURVE_SPEED] > 0.0 and mode != STICK:
             basis, slip = system.basis[c], system.slip[c]
@@ -184,7 +204,7 @@ def gather_turns(system, step):
         for spins in range(2):
             length = contact_real[c, SPINNING if spins == 1 else ROLLING]
             if length > 0.0:
-                unit = units[_add_unit(step, ON_TURN, c, 3 if two and spins == 0 else 1, length, -1.0)]
+                unit = units[_add_unit(step, ON_TURN, c, 3 if two and spins == 0 else 1, length, SPREAD)]
                 # in a plane everything rolls about its normal, the second basis vector
                 unit.axis = 2 if spins == 1 else (0 if two else 1)
                 unit.parent, unit.load = parent, step.numbers.h * step.load[c]
@@ -199,7 +219,7 @@ def gather_joints(step):
         joint = step.joints[j]
         k = joint.index_v
         if joint.kind == DRY_FRICTION:
-            u = _add_unit(step, ON_JOINT, j, 1, 1.0, -1.0)
+            u = _add_unit(step, ON_JOINT, j, 1, 1.0, SPREAD)
             step.units[u].load = h * joint.bound
             continue
         sign = 1.0 if joint.kind == LOWER_LIMIT else -1.0
@@ -208,9 +228,9 @@ def gather_joints(step):
         held = step.start_end[joint.limit] * sign < 0.0
         resting = held or (gap <= TOUCHING and abs(speed) * h <= TOUCHING)
         instant = _touch_instant(gap, speed, rate, TOUCHING, h)
-        if instant < 0.0 and step.counts.has_trend == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
+        if instant == NEVER and step.counts.has_trend == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
             # by an impact of this step
             instant = max(gap / -thrown, 0.0)
         # as for contacts, whether it gets there depends on what holds it
-        if resting or (instant >= 0.0 and step.counts.has_trend != 0):
-            _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)
+        if resting or (instant != NEVER and step.counts.has_trend != 0):
+            _add_unit(step, ON_JOINT, j, 4, 0.0, SPREAD if resting else instant)

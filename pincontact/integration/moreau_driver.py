@@ -222,6 +222,9 @@ class MoreauDriver:
                 continue
             elif before != FREE and after == FREE:
                 found.append((t_new, name, "separate", None))
+            elif before == FREE and after != FREE:
+                # at rest on what it came over
+                found.append((t, name, "touch", None))
             else:
                 kinds = map(_friction_event, range(3), step.start_motion[c].tolist(), step.motion[c].tolist())
                 found += [(t_new, name, kind, None) for kind in kinds if kind]

@@ -27,6 +27,7 @@ from ..layout import (
     CARRIER,
     CHART,
     CLOSED_FORM,
+    END_MARGIN,
     EVALUATOR,
     FREE,
     FRICTIONLESS,
@@ -230,7 +231,7 @@ class System(Workspace):
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
         integers[EVALUATOR] = kernel_address(contour.evaluator)
         self.side_shape[side] = contour.shape_row()
-        self.side_domain[side] = contour.ends()
+        self.side_domain[side] = contour.ends() + END_MARGIN * np.array([-1.0, 1.0, -1.0, 1.0])
         placement = attached.placement_in_joint
         self.side_base[side, :9] = placement.rotation.ravel()
         self.side_base[side, 9:] = placement.translation

@@ -12,7 +12,7 @@ import scipy
 
 from ..contours import Contour
 from ..errors import SingularContactError
-from ..layout import CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SAME_PLACE, SINGULAR
+from ..layout import CLOSED_FORM, CONDITION, DETERMINANT_SIGN, END_MARGIN, LENGTH, OK, PATTERN, SAME_PLACE, SINGULAR
 from ..workspace import Workspace
 from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
@@ -190,7 +190,7 @@ def comes_back(system: Workspace, found: Candidate) -> bool:
                 first = 0.5 * (low + high - contour.periods[a])
                 u[a] -= contour.periods[a] * math.floor((u[a] - first) / contour.periods[a])
             if not contour.periodic[a]:
-                within = within and low <= u[a] <= high
+                within = within and low - END_MARGIN <= u[a] <= high + END_MARGIN
     return within
 
 

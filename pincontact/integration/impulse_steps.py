@@ -39,7 +39,6 @@ from ..layout import (
 from .accuracy import APART_AT_END, REST, SHALLOW
 from .impulse_layout import JOINT_MOVES, ROLL, SLIP, SPIN, step_at
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, TAKEN, ask, call_task, find_joint_states, trial_step
-from .impulse_units import END_ROOM
 from .impulse_velocities import relative_turning
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
@@ -72,7 +71,7 @@ def _begin_contact(system, step, c, largest):
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
     if normal <= REST * largest:
         reach = max(reach, SHALLOW * length)
-    step.start_gap[c], inside = system.gaps[c, 0], system.contact_real[c, DOMAIN] >= -END_ROOM
+    step.start_gap[c], inside = system.gaps[c, 0], system.contact_real[c, DOMAIN] >= 0.0
     step.behind[c] = 1 if contact[MODE] == FREE and inside and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:
         return

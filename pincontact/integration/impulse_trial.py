@@ -66,7 +66,7 @@ from .impulse_layout import (
 from .impulse_leaps import has_come_to_another, is_deeper, leaps
 from .impulse_problem import least_way
 from .impulse_review import AGAIN, ANEW, may_rest
-from .impulse_units import END_ROOM, passes_by
+from .impulse_units import passes_by
 from .impulse_viscous import begin_sharing
 from .impulse_works import energy_put_right
 from .impulses import advance, leave_turning_axes, predict_midpoint
@@ -480,7 +480,7 @@ def _review_end(system, step, h):
         step.edge_time[c] = -1.0
         if contact[MODE] == FREE:
             gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
-            overlaps = step.start_domain[c] < -END_ROOM <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
+            overlaps = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
             overlaps = overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h)
             if overlaps and passes_by(system, step, c, 1.0) == 0:
                 return OVERLAPS_AT_END
@@ -493,7 +493,7 @@ def _review_end(system, step, h):
             contact[MODE], step.touch_time[c] = FREE, -1.0
             continue
         domain, before = numbers[DOMAIN], step.start_domain[c]
-        if domain >= -END_ROOM:
+        if domain >= 0.0:
             continue
         if contact[UNILATERAL] == 0:
             status = CONTOUR_ENDS

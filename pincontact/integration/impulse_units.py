@@ -37,8 +37,6 @@ from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT
 TOUCHING = 1e-12
 # Instants of a step: an impulse is spread over it, and what does not happen in it.
 SPREAD, NEVER = -1.0, math.inf
-# Nearer to an end of its domain (in its units) a point is at it.
-END_ROOM = 1e-12
 
 
 @kernel
@@ -133,7 +131,7 @@ def _is_outside(system, step, c, part):
     """Whether contact c is beside the contours, or kept out at their ends, after this part of the time between the
     step's start and the evaluated state."""
     domain = system.contact_real[c, DOMAIN]
-    if _way_at(step.start_domain[c], domain, part) < -END_ROOM:
+    if _way_at(step.start_domain[c], domain, part) < 0.0:
         return True
     return domain < math.inf and passes_by(system, step, c, part) != 0
 

@@ -88,7 +88,7 @@ from .impulse_layout import (
 from .impulse_leaps import LEAP, is_deeper
 from .impulse_problem import least_way
 from .impulse_review import ANEW, DONE, review, slip_at_end
-from .impulse_units import END_ROOM, TOUCHING
+from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_viscous import add_viscous_impulses, shares_viscous
 from .impulse_works import add_works, count_energy_made, energy_made, velocity_change
@@ -465,7 +465,7 @@ def commit_contact(system, step, c, stepped):
         behind = gap < -SHALLOW * system.contact_real[c, LENGTH]
     elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
         behind = is_deeper(system, step, c, gap - before, rate, LEAP * h)
-    step.behind[c] = 1 if mode == FREE and gap < 0.0 and domain >= -END_ROOM and behind else 0
+    step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
     step.start_domain[c] = domain
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)
     contact, known, changed = system.contact_int[c], step.known[c], False

@@ -36,7 +36,6 @@ from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, st
 from .impulse_problem import assemble
 from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, TRY, run_steps
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, TAKEN, UNSOLVED, WITH_ROOM
-from .impulse_units import END_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
 from .reports import least_conditioned
 from .results import (
@@ -390,7 +389,7 @@ class MoreauStep:
             self.open.relocated.clear()
             self._run(RELOCATE, t)
         behind = self.step_arrays.behind
-        beside = (self.start_domain < -END_ROOM) & (self.start_gap < 0.0)
+        beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
         self.open.apart[:] = (behind[: self.system.nc] == 0) & ~beside
         steps = self.open.look(t, size, self.touch_time >= 0.0)
         if self.open.relocated:
@@ -480,7 +479,7 @@ class MoreauStep:
         elif status in (FLIES_THROUGH, TOUCHES_TWICE, TOUCHES_AROUND):
             where = f"contact {system.contacts[self.open.where].name!r}: "
         elif status == OVERLAPS_AT_END:
-            entered = (self.start_domain < -END_ROOM) & (system.contact_real[: system.nc, DOMAIN] >= -END_ROOM)
+            entered = (self.start_domain < 0.0) & (system.contact_real[: system.nc, DOMAIN] >= 0.0)
             deepest = int(np.argmin(np.where(entered & (system.modes == FREE), system.gaps[: system.nc, 0], math.inf)))
             where = f"contact {system.contacts[deepest].name!r}: "
         elif status == MOTION_JUMPS:

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from .arguments import is_number, reals, warn_of_order
 from .contacts import Assembly, Contact, characteristic_length
+from .contours.base import LINE
 from .display import MODE_NAMES, html_table, numbers, shortened
 from .dynamics.joints import JointLock, check_locks, joint_locks, joint_of, without_inertia
 from .dynamics.manifold import (
@@ -25,6 +26,7 @@ from .dynamics.manifold import (
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.nearest import NearestSearch, is_searched
+from .geometry.patterns import CROSSING_CURVES
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
 from .geometry.sides import Beside
 from .integration.accuracy import APART_AT_END
@@ -44,6 +46,7 @@ from .layout import (
     MASS_NOT_POSITIVE,
     MODE,
     OK,
+    PATTERN,
     SIDE,
     SINGULAR,
     SLIPPING,
@@ -407,6 +410,7 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     guess[contact.body1.contour.dimension : 2] = 0.0
     guess[2 + contact.body2.contour.dimension :] = 0.0
     side, is_over, end = contact.side or 0, True, None
+    crosses = contact.side is None and single.contact_int[0, PATTERN] == CROSSING_CURVES
     if not is_free:
         return _Found(find_candidates(single, t, guess), side)
     if is_seen := Beside.is_seen(single, 0):
@@ -416,10 +420,16 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     try:
         found = find_candidates(single, t, guess, beyond=True, end=end)
     except SingularContactError:
+        if crosses and contact.body1.contour.kind == contact.body2.contour.kind == LINE:
+            # parallel: nowhere, until they have turned
+            return _Found([], 1, True, True)
         if not (is_searched(single, 0) and _are_apart(single, t)):
             raise
         found = _beside(single, t, guess)
     is_beyond = bool(found) and not comes_back(single, found[0])
+    if crosses and found:
+        # curves have no inside: on the side on which they are apart
+        return _Found(found, 1 if found[0].gap >= 0.0 else -1, is_beyond)
     if is_seen and (is_beyond or not (is_over and found)):
         side = side or told
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):

@@ -27,7 +27,9 @@ from ..layout import (
     DETERMINANT_SIGN,
     DOMAIN,
     FREE,
+    LAST_NORMAL_X,
     LENGTH,
+    NEXT_NORMAL_X,
     NOTHING_THERE,
     PATTERN,
     SAME_PLACE,
@@ -146,6 +148,9 @@ class OpenContacts:
                 integers[c, BESIDE] = 1
         self._ending, self._hold = self.at_ends(), math.inf
         for c in self._ending:
+            if integers[c, PATTERN] == CROSSING_CURVES:
+                self._cross(c)
+                continue
             holds = self._side_holds(c) if c in self._beside else 0.0
             if holds < h:
                 beside = self._seen(c)
@@ -161,8 +166,19 @@ class OpenContacts:
     def _takes_sides(self, c: int) -> bool:
         """Whether contact c is on the side on which its body comes over a piece, as none is given."""
         if c not in self._two_sided:
-            self._two_sided[c] = self.system.contacts[c].side is None and Beside.is_seen(self.system, c)
+            takes = Beside.is_seen(self.system, c) or self.system.contact_int[c, PATTERN] == CROSSING_CURVES
+            self._two_sided[c] = self.system.contacts[c].side is None and bool(takes)
         return self._two_sided[c]
+
+    def _cross(self, c: int) -> None:
+        """Have crossing curves that are beside each other's ends, or were, on the side on which they are apart."""
+        integers, numbers = self.system.contact_int[c], self.system.contact_real[c]
+        if self.system.gaps[c, 0] < 0.0:
+            integers[SIDE] = -integers[SIDE]
+            for normal in (LAST_NORMAL_X, NEXT_NORMAL_X):
+                numbers[normal : normal + 3] *= -1.0
+            self.relocated.add(c)
+        integers[BESIDE] = numbers[DOMAIN] < 0.0
 
     def at_ends(self) -> list[int]:
         """Contacts whose bodies have not been over each other yet."""
@@ -510,6 +526,7 @@ class OpenContacts:
         its nearest points are elsewhere, and looked for anew, or its curves became parallel."""
         self.passed.add(c)
         if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
+            self.system.contact_int[c, BESIDE] = self._takes_sides(c)
             return True
         known = self._nearness(c, t)
         if known.search is None:

@@ -104,7 +104,8 @@ CALLBACK = record(
 )
 
 # contact_int; from MODE to BESIDE what a State keeps of it. BESIDE: an open contact whose body is beside the
-# ends of the other contour, and has not come over it since: where its side is not given, that may change
+# ends of the other contour, and has not come over it since, or whose curves cross: where its side is not given, that
+# may change
 (
     PATTERN,
     K1,

@@ -426,10 +426,10 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         if not (is_searched(single, 0) and _are_apart(single, t)):
             raise
         found = _beside(single, t, guess)
-    is_beyond = bool(found) and not comes_back(single, found[0])
     if crosses and found:
         # curves have no inside: on the side on which they are apart
-        return _Found(found, 1 if found[0].gap >= 0.0 else -1, is_beyond)
+        return _Found(found, 1 if found[0].gap >= 0.0 else -1, True)
+    is_beyond = bool(found) and not comes_back(single, found[0])
     if is_seen and (is_beyond or not (is_over and found)):
         side = side or told
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):

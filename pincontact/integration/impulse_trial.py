@@ -13,9 +13,11 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, NEAREST, USUAL
+from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
+    BESIDE,
     DOMAIN,
     FREE,
     FRICTIONLESS,
@@ -34,6 +36,7 @@ from ..layout import (
     NOT_FINITE,
     OK,
     OVERLAP,
+    PATTERN,
     SINGULAR,
     STICK,
     SYSTEM,
@@ -482,6 +485,8 @@ def _review_end(system, step, h):
             gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
             overlaps = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
             overlaps = overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h)
+            # on which side curves cross beside their ends does not matter
+            overlaps = overlaps and (contact[PATTERN] != CROSSING_CURVES or contact[BESIDE] == 0)
             if overlaps and passes_by(system, step, c, 1.0) == 0:
                 return OVERLAPS_AT_END
             continue

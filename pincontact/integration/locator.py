@@ -217,8 +217,8 @@ class EventLocator:
         if kind == GAP_EVENT:
             ends = ends and domain >= 0.0
         elif ends and gap < -max(deepest_at_end(system, c), system.slack.item(c, kind)):
-            # what comes through its gap is no matter of domains
-            ends = domain < -gap <= system.contact_real.item(c, OVERLAP)
+            # what comes through its gap is no matter of domains, nor is on which side curves cross beside their ends
+            ends = domain < -gap <= system.contact_real.item(c, OVERLAP) and not self._open.crosses(c)
             if ends:
                 self._open.overlapping.add(c)
         ends = ends and not passes_by(system, c)

@@ -384,13 +384,13 @@ class MoreauStep:
         t = self._numbers["run_start"].item() + self.steps * size
         if not (self._looks and self.open.are_any(t)):
             return MANY_STEPS
+        behind = self.step_arrays.behind
+        self._note_apart()
         self.open.watch_ends(t, size)
         if self.open.relocated:
             self.open.relocated.clear()
             self._run(RELOCATE, t)
-        behind = self.step_arrays.behind
-        beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
-        self.open.apart[:] = (behind[: self.system.nc] == 0) & ~beside
+            self._note_apart()
         steps = self.open.look(t, size, self.touch_time >= 0.0)
         if self.open.relocated:
             relocated = list(self.open.relocated)
@@ -399,6 +399,11 @@ class MoreauStep:
             # these have been looked for there: they have not leapt
             behind[relocated] = ~self.open.apart[relocated]
         return steps
+
+    def _note_apart(self) -> None:
+        """Note which contacts touch when their gaps come down through zero."""
+        beside = (self.start_domain < 0.0) & (self.start_gap < 0.0)
+        self.open.apart[:] = (self.step_arrays.behind[: self.system.nc] == 0) & ~beside
 
     def follow(self, t: float) -> None:
         """Look at t, the start of the next step, whether open contacts are where they are nearest."""

@@ -143,13 +143,15 @@ class OpenContacts:
         beside until bodies are over each other, or have touched."""
         integers = self.system.contact_int
         for c in self._list():
-            # what comes over an end again may do so on the other side
-            if self.system.contact_real[c, DOMAIN] < 0.0 and self._takes_sides(c):
+            # what comes over an end again may do so on the other side; curves cross beside their ends in any step
+            may_turn = self.system.contact_real[c, DOMAIN] < 0.0 or integers[c, PATTERN] == CROSSING_CURVES
+            if may_turn and self._takes_sides(c):
                 integers[c, BESIDE] = 1
         self._ending, self._hold = self.at_ends(), math.inf
         for c in self._ending:
-            if integers[c, PATTERN] == CROSSING_CURVES:
+            if self.crosses(c):
                 self._cross(c)
+                self._hold = min(self._hold, h)
                 continue
             holds = self._side_holds(c) if c in self._beside else 0.0
             if holds < h:
@@ -170,15 +172,19 @@ class OpenContacts:
             self._two_sided[c] = self.system.contacts[c].side is None and bool(takes)
         return self._two_sided[c]
 
+    def crosses(self, c: int) -> bool:
+        """Whether contact c is of crossing curves that are open, and on no given side."""
+        return bool(self.system.contact_int[c, PATTERN] == CROSSING_CURVES and self.system.contact_int[c, BESIDE])
+
     def _cross(self, c: int) -> None:
-        """Have crossing curves that are beside each other's ends, or were, on the side on which they are apart."""
-        integers, numbers = self.system.contact_int[c], self.system.contact_real[c]
-        if self.system.gaps[c, 0] < 0.0:
-            integers[SIDE] = -integers[SIDE]
+        """Have crossing curves that are beside each other's ends, or have come in from there on the far side, on the
+        side on which they are apart."""
+        numbers = self.system.contact_real[c]
+        if self.system.gaps[c, 0] < 0.0 and (numbers[DOMAIN] < 0.0 or not self.apart[c]):
+            self.system.contact_int[c, SIDE] *= -1
             for normal in (LAST_NORMAL_X, NEXT_NORMAL_X):
                 numbers[normal : normal + 3] *= -1.0
             self.relocated.add(c)
-        integers[BESIDE] = numbers[DOMAIN] < 0.0
 
     def at_ends(self) -> list[int]:
         """Contacts whose bodies have not been over each other yet."""
@@ -526,7 +532,6 @@ class OpenContacts:
         its nearest points are elsewhere, and looked for anew, or its curves became parallel."""
         self.passed.add(c)
         if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
-            self.system.contact_int[c, BESIDE] = self._takes_sides(c)
             return True
         known = self._nearness(c, t)
         if known.search is None:

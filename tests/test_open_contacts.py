@@ -608,21 +608,25 @@ def test_what_starts_beside_a_plate_lands_on_it(shape, order, method):
     assert touches(run) == [pytest.approx(fall(0.4 - lowest), abs=ACCURACY[method])]
 
 
+@pytest.mark.parametrize("side", [None, 1])
 @pytest.mark.parametrize("method", METHODS)
-def test_rods_that_pass_through_parallel_do_not_touch(method):
+def test_rods_that_pass_through_parallel_do_not_touch(method, side):
     """Their common normal turns round then, and with it the sign of their gap, 0.26 m apart."""
     model = body(pc.Sphere(0.1))
     model.gravity.setZero()
     scene, rod = pc.Scene(model), pc.Line((-0.3, 0.3))
-    scene.add_contact("c", scene.add_contour("a", rod), scene.add_contour("b", rod, frame="body"), restitution=1.0)
+    scene.add_contact(
+        "c", scene.add_contour("a", rod), scene.add_contour("b", rod, frame="body"), restitution=1.0, side=side
+    )
     turn = pin.Quaternion(pin.rpy.rpyToMatrix(0.02, 0.03, 0.5)).coeffs()
     state = scene.initial_state([0, 0, 0.3, *turn], [0, 0, -0.05, 0, 0, -1.0], free=["c"])
     run = run_of(scene, state, 3.0, method)
     assert run.status == 0 and not touches(run)
     np.testing.assert_allclose(run.v[-1, 3:], [0.0, 0.0, -1.0], rtol=0.0, atol=1e-7)
     np.testing.assert_allclose(np.linalg.norm(run.v[-1, :3]), 0.05, rtol=0.0, atol=1e-7)
-    # which side the bodies are on is not known any more, and that is told
-    assert "inside or behind each other" in run.message
+    # where a side is given, bodies are on the other one then, and that is told
+    assert ("inside or behind each other" in run.message) == (side is not None)
+    assert run.contacts["c"].gap[-1] * (1 if side is None else -1) > 0.1
 
 
 def test_throws_across_a_tube():

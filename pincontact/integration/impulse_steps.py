@@ -63,7 +63,7 @@ def _begin_contact(system, step, c, largest):
     contact, mu, length = system.contact_int[c], system.contact_real[c, MU], system.contact_real[c, LENGTH]
     basis, slip = system.basis[c], system.slip[c]
     first, second, normal = dot(basis[0], slip), dot(basis[1], slip), dot(basis[2], slip)
-    step.touch_time[c], step.load[c], step.start_domain[c] = -1.0, 0.0, 0.0
+    step.touch_time[c], step.load[c], step.start_domain[c] = -1.0, 0.0, math.inf
     for i in range(3):
         step.forces[c, i] = step.torques[c, i] = 0.0
         step.motion[c, i] = 0

@@ -106,34 +106,28 @@ def _add_unit(step, kind, index, mask, mu, instant):
 
 @kernel
 def _when_it_touches(system, step, c):
-    """When contact c, which is open, closes in the step, SPREAD or NEVER; and which part of the time between the step's
-    start and the evaluated state has passed then."""
+    """When contact c, which is open, closes in the step, SPREAD or NEVER."""
     h, ahead, trend = step.numbers.h, step.numbers.ahead, step.counts.has_trend
-    gap, speed, touching = step.start_gap[c], step.start_normal[c, 0], TOUCHING * system.contact_real[c, LENGTH]
     if step.behind[c] != 0:
-        return NEVER, 0.0
-    if abs(gap) <= touching and abs(speed) * h <= touching:
-        # at rest on a face that it comes over, or that was carried by others
-        return SPREAD, 1.0
-    if trend == 0:
-        # whether it touches depends on what holds the bodies
-        return NEVER, 0.0
-    if trend != MEAN_VELOCITY or step.instant[c] == NEVER:
-        rate = inner(system.rows[c, 2], step.transported_trend, system.sizes.nv) + system.bias[c, 2]
-        step.instant[c] = _touch_instant(gap, speed, rate, touching, h)
+        return NEVER
     # what impulses change does not change when they began: touches in one instant stay so
-    instant = step.instant[c]
-    return instant, instant / ahead if ahead > 0.0 else 0.0
-
-
-@kernel
-def _is_outside(system, step, c, part):
-    """Whether contact c is beside the contours, or kept out at their ends, after this part of the time between the
-    step's start and the evaluated state."""
-    domain = system.contact_real[c, DOMAIN]
-    if _way_at(step.start_domain[c], domain, part) < 0.0:
-        return True
-    return domain < math.inf and passes_by(system, step, c, part) != 0
+    if trend == MEAN_VELOCITY and step.instant[c] != NEVER:
+        return step.instant[c]
+    gap, speed, touching = step.start_gap[c], step.start_normal[c, 0], TOUCHING * system.contact_real[c, LENGTH]
+    start, later, instant = step.start_domain[c], system.contact_real[c, DOMAIN], NEVER
+    if abs(gap) <= touching and abs(speed) * h <= touching and start < 0.0 and ahead > 0.0:
+        # at rest on what it comes over in the step
+        instant = SPREAD if _way_at(start, later, h / ahead) >= 0.0 else NEVER
+    elif trend != 0:
+        # before that nothing tells whether it touches, which depends on what holds the bodies
+        rate = inner(system.rows[c, 2], step.transported_trend, system.sizes.nv) + system.bias[c, 2]
+        instant = _touch_instant(gap, speed, rate, touching, h)
+        if instant != NEVER and later < math.inf:
+            part = instant / ahead if ahead > 0.0 else 0.0
+            is_outside = _way_at(start, later, part) < 0.0 or passes_by(system, step, c, part) != 0
+            instant = NEVER if is_outside else instant
+    step.instant[c] = instant
+    return instant
 
 
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
@@ -152,8 +146,8 @@ def gather_contacts(system, step):
             if mu == 0.0 or mu == math.inf:
                 continue
         elif mode == FREE:
-            instant, part = _when_it_touches(system, step, c)
-            if instant == NEVER or _is_outside(system, step, c, part):
+            instant = _when_it_touches(system, step, c)
+            if instant == NEVER:
                 continue
         if contact_real[c, CURVE_SPEED] > 0.0 and mode != STICK:
             basis, slip = system.basis[c], system.slip[c]

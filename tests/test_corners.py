@@ -175,3 +175,51 @@ def test_an_ellipse_that_starts_beside_an_end_meets_the_line(side):
     for x, y, c, s in run.q:
         points = np.column_stack((ends - x, np.zeros(ends.size) - y)) @ [[c, -s], [s, c]]
         assert np.hypot(points[:, 0] / a, points[:, 1] / b).min() >= 1.0 - 1e-6
+
+
+def flush(seed: int, height: float, speed: float):
+    """A box over a fixed one of the same size, corner above corner, in a turned world: scene, q, v, that world."""
+    sizes, rng = np.array([0.1, 0.08, 0.06]), np.random.default_rng(seed)
+    world = pin.SE3.Identity() if seed == 0 else pin.SE3.Random()
+    if seed != 0:
+        world.rotation, world.translation = (
+            pin.Quaternion(*rng.normal(size=4)).normalized().matrix(),
+            rng.normal(size=3),
+        )
+    model = pin.Model()
+    model.gravity.linear = world.rotation @ [0, 0, -G]
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = np.diag((sizes @ sizes - sizes**2) / 12.0)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), inertia), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    face = pc.Plane(tuple((-0.5 * size, 0.5 * size) for size in sizes[:2]))
+    scene.add_contour("top", face, placement=world)
+    below = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, -0.5 * sizes[2]]))
+    scene.add_contour("bottom", face, "body", placement=below)
+    for x in (-0.05, 0.05):
+        for y in (-0.04, 0.04):
+            for name, other, where in (
+                (f"own {x} {y}", "top", {"frame": "body", "placement": pin.SE3(np.eye(3), np.array([x, y, -0.03]))}),
+                (f"other {x} {y}", "bottom", {"placement": world * pin.SE3(np.eye(3), np.array([x, y, 0.0]))}),
+            ):
+                scene.add_contact(name, scene.add_contour(name, pc.Point(), **where), other, friction=pc.Coulomb(0.5))
+    q = pin.SE3ToXYZQUAT(world * pin.SE3(np.eye(3), np.array([0, 0, 0.03 + height])))
+    return scene, q, [speed, 0, 0, 0, 0, 0], world
+
+
+@pytest.mark.parametrize("method", [{}, {"method": "Moreau", "dt": 1e-3}], ids=["DOP853", "Moreau"])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("height, speed", [(0.01, 0.0), (0.0, 0.0), (0.0, 0.3)], ids=["falls", "rests", "slides"])
+def test_boxes_of_one_size_stand_on_each_other(height, speed, seed, method):
+    """Their corners are at the ends of the other one's face: round-off decided whether they are on it. It fell through
+    with status 0, or did not start."""
+    scene, q, v, world = flush(seed, height, speed)
+    state = scene.initial_state(q, v, free=list(scene.contacts) if height else [])
+    run = pc.simulate(scene, state, 0.3, **method)
+    assert run.status == 0, run.message
+    pose = world.actInv(pin.XYZQUATToSE3(run.q[-1]))
+    # v^2 / (2 mu g), to the errors of the tolerances, of an impact, or of the step in which it stops
+    expected = [speed**2 / (2 * 0.5 * G), 0.0, 0.03]
+    np.testing.assert_allclose(pose.translation, expected, atol=1e-6)
+    np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-6)

@@ -135,8 +135,8 @@ def test_steps_in_which_contacts_leap_are_divided():
         np.testing.assert_array_equal(run.q[k], stepper.q)
         np.testing.assert_array_equal(rows[i], stepper.q)
         if i == int(inside / 1e-3):
-            # the mean force of a step that is divided, up to the corrections of its ends, which are a twentieth of it as
-            # what leapt comes down; that of its last part is another one altogether
+            # the mean force of a step that is divided, up to the corrections of its ends, which are a twentieth of it
+            # as what leapt comes down; that of its last part is another one altogether
             gained = pin.Quaternion(stepper.q[3:7]).matrix() @ stepper.v[:3] - before
             expected = mass * (gained / 1e-3 - scene.model.gravity.linear)
             np.testing.assert_allclose(-sum(stepper.forces.values()), expected, rtol=0.06)

@@ -259,7 +259,22 @@ def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray, opened: Open
     gaps, ways (nc,): in m, and to the nearest end of the contours' domains, at the end of the run, t in s.
     """
     deep = -_BEHIND * system.contact_real[: system.nc, LENGTH]
-    open_there = (system.modes == FREE) & (system.contact_int[: system.nc, UNILATERAL] != 0) & (ways >= 0.0)
-    found = [c for c in np.flatnonzero(open_there & (gaps < deep)).tolist() if opened.is_behind(t, c)]
+    # what is at an end of a face is on the next one
+    open_there = (system.modes == FREE) & (system.contact_int[: system.nc, UNILATERAL] != 0) & (ways > -deep)
+    behind = np.flatnonzero(open_there & (gaps < deep)).tolist()
+    found = [c for c in behind if not _is_past(system, gaps, c) and opened.is_behind(t, c)]
     named = ", ".join(f"{system.contacts[c].name!r} (gap {gaps[c]:.3g} m)" for c in found)
     return f"; bodies end inside or behind each other at {named}: they touch only after being apart" if found else ""
+
+
+def _is_past(system: System, gaps: np.ndarray, c: int) -> bool:
+    """Whether what is behind a face of a body is beyond that body: in front of another one of its faces, which is the
+    nearer one and looks the other way."""
+    contact, normals = system.contacts[c], system.basis[: system.nc, 2]
+    return any(
+        other.body1 is contact.body1
+        and other.body2.carrier == contact.body2.carrier
+        and 0.0 <= gaps[i] < -gaps[c]
+        and normals[i] @ normals[c] < 0.0
+        for i, other in enumerate(system.contacts)
+    )

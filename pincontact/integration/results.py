@@ -71,7 +71,7 @@ FAILURES = {
     OVERLAPS_AT_END: (
         SINGULAR_CONTACT,
         "the bodies overlap where it comes into a contour from its end: that is an edge, for which a contact of its "
-        "own is to be declared, with a Line or Point there, say",
+        "own is to be declared, with a Line or Point there, say; if there is one, its side= may have the other sign",
     ),
     TOUCHES_TWICE: (
         SINGULAR_CONTACT,

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from calling import from_python
 from test_zeros import Looked, particle
@@ -214,3 +215,29 @@ def test_slip_that_shows_is_followed_from_its_limit():
     (event,) = run.events
     assert event.kind == "slip" and event.time == pytest.approx(0.5, abs=1e-9)
     assert run.stats["cone_problems"] == 0
+
+
+def test_a_run_that_ends_where_slip_turns_round_ends_there():
+    """A hoop slides on a peg; the run ends at the instant at which its slip turns round, or starts. It went on for what
+    a start of slip takes, 1e-5 s, beyond its end."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, -9.81, 0.0])
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "hoop")
+    inertia = np.diag([0.5, 0.5, 1.0]) * 0.2**2
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), inertia), pin.SE3.Identity())
+    model.addBodyFrame("hoop", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    scene.add_contour("hoop", pc.Circle(0.2), "hoop")
+    scene.add_contour("peg", pc.Cylinder(0.145))
+    scene.add_contact("c", "hoop", "peg", friction=pc.Coulomb(0.05))
+    place, along = np.array([np.sin(0.9), -np.cos(0.9), 0.0]), np.array([np.cos(0.9), np.sin(0.9), 0.0])
+    state = scene.initial_state([*(0.055 * place), 0, 0, 0, 1], [*(0.055 * 2.0 * along), 0, 0, 5.0])
+    whole = pc.simulate(scene, state, 1.0, rtol=1e-11, atol=1e-13, dense_output=True)
+    assert [event.kind for event in whole.events] == ["slip", "stick", "slip"]
+    for event in whole.events:
+        run = pc.simulate(scene, state, event.time)
+        assert run.status == 0 and run.t[-1] == event.time
+        np.testing.assert_allclose(run.q[-1], whole.sol(event.time).q, atol=1e-9)
+        # and goes on from there
+        rest = pc.simulate(scene, run.state(-1), 1.0 - event.time)
+        np.testing.assert_allclose(rest.q[-1], whole.q[-1], atol=1e-9)

@@ -255,7 +255,7 @@ class Driver:
         # in less time than that no slip shows, however short slow slip beside makes steps
         stiff = float(self.system.scalars["turning_rate"]) * step > ACCURATE
         longest = max(0.5 * step, self.transitions.changes.ahead if stiff else 0.0)
-        onset.longest, onset.left = min(longest, 0.5 * left, self._max_step), left if left > 0.0 else math.inf
+        onset.longest, onset.left = min(longest, 0.5 * left, self._max_step), max(left, 0.0)
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""

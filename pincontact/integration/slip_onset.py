@@ -122,7 +122,8 @@ class SlipOnset:
         """Start slip that has been given a direction: by a tiny step in that direction, so that v_c has one."""
         system = self.system
         frozen = np.flatnonzero(system.contact_int[:, FROZEN]).tolist()
-        if not frozen:
+        if not frozen or self.left <= 0.0:
+            # what starts as the run ends has no time to
             return t
         tau = min(self.seed**1.5, self.until_touch(), self.left)
         if self._goes_on(t, frozen, tau):
@@ -176,6 +177,8 @@ class SlipOnset:
             freeze_slip(system, c, -system.force[c, :1])
             changes.reports.announce_friction(t, c, True)
             return self.resolve(t, changes.sticking())
+        if self.left <= 0.0:
+            return t
         if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
             # friction falls to its sliding value: slip starts with a finite acceleration
             return self.resolve(t, changes.sticking(), beyond=c)

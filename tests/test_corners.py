@@ -65,8 +65,7 @@ def along(run, turned: float) -> float:
     return float((rotation(turned).T @ run.q[-1, :2])[0])
 
 
-@pytest.mark.parametrize("down", [0.0, 1e-6, 1e-4, 1e-3])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "down"), [(0, 0.0), (1, 0.0), (0, 1e-6), (2, 1e-4), (1, 1e-3)])
 def test_a_box_passes_by_the_ends_of_tables(seed, down):
     """Of level tables it feels nothing; lower ones it falls onto, by so little that it is not held up. Corners of the
     tables struck its front, and its corners their ends, wherever round-off had it (status 0, 0.1 to 2 m off)."""

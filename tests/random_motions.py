@@ -476,7 +476,7 @@ def random_motion(seed: int) -> tuple[str, Motion]:
 def default_and_tight(scene: pc.Scene, state: pc.State, duration: float) -> tuple[pc.Trajectory, pc.Trajectory]:
     """The run at default options and one at tight tolerances with small steps, at 31 times; both come to their end."""
     times = np.linspace(0.0, duration, 31)
-    tight = pc.simulate(scene, state, duration, t_eval=times, rtol=1e-11, atol=1e-13, max_step=duration / 200.0)
+    tight = pc.simulate(scene, state, duration, t_eval=times, rtol=1e-11, atol=1e-13, max_step=duration / 100.0)
     run = pc.simulate(scene, state, duration, t_eval=times)
     assert tight.status == 0, tight.message
     assert run.status == 0, run.message

@@ -252,11 +252,13 @@ class Reference:
     """
 
     name: str
+    until: float = math.inf
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
         with np.load(DATA / f"{self.name}.npz") as file:
-            return {key: file[key] for key in file.files}
+            rows = file["t"] <= self.until
+            return {key: file[key][rows] for key in file.files}
 
     def __getitem__(self, key: str) -> np.ndarray:
         return self.arrays[key]
@@ -267,7 +269,7 @@ class Reference:
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        return SPECIFICATIONS[self.name]["events"]
+        return [event for event in SPECIFICATIONS[self.name]["events"] if event["t"] <= self.until]
 
     def away_from_events(self, seconds: float = 1e-3) -> np.ndarray:
         """Rows at which forces are as certain as the motion."""
@@ -276,15 +278,17 @@ class Reference:
 
 
 @cache
-def reference(name: str) -> Reference:
-    return Reference(name)
+def reference(name: str, until: float = math.inf) -> Reference:
+    return Reference(name, until)
 
 
 @cache
-def simulated(name: str, native: bool = False, rtol: float = 1e-10, method: str = "DOP853") -> pc.Trajectory:
+def simulated(
+    name: str, native: bool = False, rtol: float = 1e-10, method: str = "DOP853", until: float = math.inf
+) -> pc.Trajectory:
     """The scene integrated on the reference's times."""
     scene, state = build(name, native)
-    times = reference(name)["t"]
+    times = reference(name, until)["t"]
     return pc.simulate(scene, state, float(times[-1]), rtol=rtol, atol=1e-2 * rtol, t_eval=times, method=method)
 
 

@@ -17,7 +17,7 @@ import pincontact as pc
 DIFFERENCES = 1e-8
 LAWS = {"smooth": None, "rolling": pc.NoSlip(), "rough": pc.Coulomb(0.2, viscous=0.1)}
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=6, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=4, deadline=None, derandomize=True, database=None)
 
 
 def analyzed(contact, h=0.0):

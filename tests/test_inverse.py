@@ -344,7 +344,7 @@ def test_least_torques_of_random_mechanisms(law):
     """Against a dense computation with Pinocchio's Jacobians: equations of motion hold, torques are the least of all
     that do it, and zero where contacts carry everything."""
     refused = carried = 0
-    for seed in range(24):
+    for seed in range(12):
         rng = np.random.default_rng(1000 + seed)
         floating, legs, joints = bool(rng.random() < 0.5), int(rng.integers(1, 5)), int(rng.integers(1, 5))
         scene, state = held_tree(seed, law, floating, legs, joints)
@@ -395,7 +395,7 @@ def test_least_torques_of_random_mechanisms(law):
             on_foot = 1.0 if scene.contacts[name].second.name.startswith("foot") else -1.0
             acting = acting + on_foot * (linear.T @ found.forces[name] + angular.T @ found.torques[name])
         np.testing.assert_allclose(acting, gravity, rtol=0.0, atol=1e-9 * scale, err_msg=f"seed {seed}")
-    assert refused < 24
+    assert refused < 12
     assert carried > 0
 
 
@@ -475,7 +475,7 @@ def test_least_torques_of_legs_with_dry_friction(law):
     """Some joints driven, feet held, against SciPy's bounded least squares, where the equations of motion are rows with
     a weight: they are kept to one part in its square."""
     weight, used, refused = 1e6, 0, 0
-    for seed in range(60):
+    for seed in range(30):
         rng = np.random.default_rng(3000 + seed)
         scene, state = held_tree(seed, law, bool(rng.random() < 0.5), int(rng.integers(1, 3)), int(rng.integers(2, 5)))
         model, nv = scene.model, scene.model.nv
@@ -522,4 +522,4 @@ def test_least_torques_of_legs_with_dry_friction(law):
         assert (np.abs(found.joint_forces) <= friction * (1.0 + 1e-12)).all()
         used += bool((np.abs(np.abs(found.joint_forces) - friction)[dry] < 1e-9 * scale).any())
     assert used > 3
-    assert 0 < refused < 40
+    assert 0 < refused < 20

@@ -26,7 +26,7 @@ def assert_close(found, expected, factor=1.0):
 
 
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=7, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=5, deadline=None, derandomize=True, database=None)
 
 
 @EACH_PATTERN

@@ -84,7 +84,7 @@ def test_random_sliding_feet(seed):
     """The run refuses what has no solution, and takes it where there is one."""
     rng = np.random.default_rng(seed)
     refused = loaded_in_part = 0
-    for _ in range(40):
+    for _ in range(20):
         n = int(rng.integers(2, 6))
         height = rng.uniform(0.02, 0.4)
         points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.full(n, -height)])

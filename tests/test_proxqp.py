@@ -356,7 +356,7 @@ def test_reference_scenes_move_as_they_do_otherwise(name, method):
     # searches for second places, which formulas of shapes ask for, are the same in both runs
     scene, state = reference.build(name, native=name in reference.NATIVE_NAMES)
     end = float(reference.reference(name)["t"][-1])
-    options, end = ({"rtol": 1e-10, "atol": 1e-12}, end) if method == "DOP853" else ({"step": 1e-3}, min(end, 1.0))
+    options, end = ({"rtol": 1e-10, "atol": 1e-12}, end) if method == "DOP853" else ({"step": 1e-3}, min(end, 0.4))
     usual, run = (
         pc.simulate(scene, state, end, method=method, contact_solver=choice, **options) for choice in ("auto", "proxqp")
     )

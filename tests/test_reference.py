@@ -24,6 +24,8 @@ MOTION = 1e-8
 FORCE = 1e-6
 RESIDUAL = 1e-12
 
+# s: surfaces of which formulas alone are known are searched for second places in every step, which native ones are not
+UNTIL = {"ball_in_bowl_3d_roll": 0.5, "ellipsoid_on_plane_roll": 1.0, "ellipsoid_in_ellipsoid_slip_then_roll": 0.8}
 CASES = [(name, False) for name in NAMES] + [(name, True) for name in NATIVE_NAMES]
 
 
@@ -100,7 +102,8 @@ def check_frames_and_multipliers(run, expected):
     ("name", "native"), CASES, ids=[f"{name}-{'native' if native else 'expressions'}" for name, native in CASES]
 )
 def test_run(name, native):
-    run, expected = simulated(name, native), reference(name)
+    until = math.inf if native else UNTIL.get(name, math.inf)
+    run, expected = simulated(name, native, until=until), reference(name, until)
     assert run.status == 0, run.message
     np.testing.assert_array_equal(run.t, expected["t"])
     check_motion(name, run, expected)

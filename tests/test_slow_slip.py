@@ -232,9 +232,8 @@ def test_slip_that_begins_beside_a_slow_one(rtol):
     assert together.q[-1] == pytest.approx(np.concatenate([run.q[-1] for run in alone]), abs=1e-11)
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Sharp98"])
-@pytest.mark.parametrize("seed", [*range(4), 16])
+@pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-6), ("DOP853", 1e-8), ("RK45", 1e-6), ("Sharp98", 1e-8)])
+@pytest.mark.parametrize("seed", [*range(3), 16])
 def test_slips_that_begin_one_after_another(seed, method, rtol):
     """Four blocks give way within 1e-6 to 1e-3 s of each other, under random pulls that turn and grow: each when its
     own pull is that strong and as it does alone, however slow the others' slips are by then, at no more cost."""

@@ -71,7 +71,7 @@ def test_slips_that_show_late_are_told(seed):
     assert ("slip as constraints become independent" in run.message) == (seed not in (1, 2, 4, 5, 10))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+@pytest.mark.parametrize("seed", [2, 5])
 def test_time_stepping_comes_to_that(seed):
     """With the fourth root of its steps, as gaps that feet would have grow with the fourth power of the time."""
     scene, state = hexapod()

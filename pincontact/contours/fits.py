@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import cache, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -228,6 +228,7 @@ def _derivative_orders(n: int) -> list[tuple[int, ...]]:
     return sorted(orders, key=sum)
 
 
+@cache
 def _solver(n: int, with_derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Matrix from the data of one piece to its coefficients, and the nodes of the data in (-1, 1)."""
     nodes = chebyshev_nodes(_DEGREE)

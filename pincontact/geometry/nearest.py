@@ -34,7 +34,7 @@ from .cells import (
 )
 from .location import NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
-from .search import Candidate, evaluated, grid, spaced, stationary_points
+from .search import Candidate, ends_within, evaluated, grid, spaced, stationary_points
 
 # Samples of the contour that is taken as a whole.
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
@@ -329,10 +329,11 @@ class NearestSearch:
         reach = float(np.linalg.norm(values[0] - centre)) + 2.0 * self.whole.extent + beyond
         box = []
         for a, (low, high) in enumerate(contour.domain):
-            if flat or not np.isfinite(contour.domain[a]).all():
-                # a field's own parameters are lengths; others are as long as they are where it is touched
-                width = reach / (1.0 if flat else max(float(np.linalg.norm(values[1 + a])), 1e-12))
-                low, high = max(low, around[a] - width), min(high, around[a] + width)
+            if flat:
+                # its parameters are lengths over its frame's plane
+                low, high = max(low, around[a] - reach), min(high, around[a] + reach)
+            elif not (math.isfinite(low) and math.isfinite(high)):
+                low, high = ends_within(contour, a, t, centre, reach)
             box.append((low, high))
         return box
 

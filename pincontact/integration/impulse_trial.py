@@ -32,6 +32,7 @@ from ..layout import (
     MU,
     NO_FORCE,
     NOT_FINITE,
+    NOTHING_THERE,
     OK,
     OVERLAP,
     SINGULAR,
@@ -480,7 +481,9 @@ def _review_end(system, step, h):
         step.edge_time[c] = -1.0
         if contact[MODE] == FREE:
             gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
-            overlaps = step.start_domain[c] < -END_ROOM <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
+            # from beyond an end, and not from nowhere
+            entered = step.start_domain[c] < -END_ROOM <= numbers[DOMAIN] and step.start_gap[c] < NOTHING_THERE
+            overlaps = entered and -numbers[OVERLAP] <= gap < 0.0
             overlaps = overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h)
             if overlaps and passes_by(system, step, c, 1.0) == 0:
                 return OVERLAPS_AT_END

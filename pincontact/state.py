@@ -483,7 +483,7 @@ def _side_of_all(single: System, t: float) -> int:
     one, two = contact.body1.contour, contact.body2.contour
     if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR) or np.isfinite(two.ends()).any():
         return 0
-    point = own[:3] @ one.point(_middle(contact)[: one.dimension], t) + own[ORIGIN]
+    point = own[:3] @ one.point(_middle(contact)[: one.dimension].tolist(), t) + own[ORIGIN]
     local = other[:3].T @ (point - other[ORIGIN])
     _, values = nearest_point(two, local, t)
     normal = np.cross(values[1], values[2] if two.dimension == 2 else [0.0, 0.0, 1.0])

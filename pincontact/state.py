@@ -25,10 +25,11 @@ from .dynamics.manifold import (
 )
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
+from .geometry.carriers import ORIGIN
 from .geometry.nearest import NearestSearch, is_searched
-from .geometry.patterns import CROSSING_CURVES
+from .geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
-from .geometry.sides import Beside
+from .geometry.sides import Beside, nearest_point
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
@@ -437,8 +438,10 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         # or, as points may be, behind a contour
         as_found = is_beyond or single.contact_int[0, K1] == 0
         found = [one for one in found if one.gap >= 0.0] or (found if as_found else _beside(single, t, guess))
-    is_nowhere = not found and side != 0 and is_searched(single, 0) and _are_apart(single, t)
-    return _Found(found, side, not is_over, is_nowhere)
+    is_nowhere = not found and is_searched(single, 0) and _are_apart(single, t)
+    if is_nowhere:
+        side = side or _side_of_all(single, t)
+    return _Found(found, side, not is_over, is_nowhere and side != 0)
 
 
 def _middle(contact: Contact) -> np.ndarray:
@@ -463,7 +466,7 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    if every and not found:
+    if every and not found and _side_of_all(single, t) != (contact.side or 1):
         raise SingularContactError(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
             f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",
@@ -479,6 +482,20 @@ def _are_apart(single: System, t: float) -> bool:
         return False
     single.evaluate_kinematics(t)
     return NearestSearch(single, 0, t).search(t).distance > 0.0
+
+
+def _side_of_all(single: System, t: float) -> int:
+    """On which side of body 2 body 1 is, from which it is apart, as evaluated: where body 2 has no ends, that of any of
+    its points; 0 elsewhere."""
+    contact, (own, other) = single.contacts[0], single.frames[:2]
+    one, two = contact.body1.contour, contact.body2.contour
+    if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR) or np.isfinite(two.ends()).any():
+        return 0
+    point = own[:3] @ one.point(_middle(contact)[: one.dimension].tolist(), t) + own[ORIGIN]
+    local = other[:3].T @ (point - other[ORIGIN])
+    _, values = nearest_point(two, local, t)
+    normal = np.cross(values[1], values[2] if two.dimension == 2 else [0.0, 0.0, 1.0])
+    return int(np.sign(normal @ (local - values[0])))
 
 
 def _together(untouched: dict[str, NoContactError]) -> NoContactError:

@@ -143,3 +143,35 @@ def test_starts_that_are_nowhere_touch_like_others(options):
             times.append(next(event.time for event in run.events if event.kind == "touch"))
         assert times[1] == pytest.approx(times[0], abs=1e-9)
     assert nowhere
+
+
+@pytest.mark.parametrize("options", METHODS)
+def test_balls_start_open_wherever_they_are_beside_an_arch(options):
+    """Also where no point of the arch between its ends is nearest, nor any of a ball faces it: they are outside all the
+    same. Thrown at a point of the arch they touch it."""
+    rng, radius, nowhere = np.random.default_rng(0), 0.03, 0
+    u = np.linspace(-math.pi, math.pi, 20_001)
+    arch = 0.05 * np.column_stack([u + np.sin(u), 1.0 - np.cos(u), 0.0 * u])
+    for _ in range(30):
+        model = free_ball(radius, pin.SE3.Identity())
+        model.gravity.setZero()
+        scene = pc.Scene(model)
+        ball = scene.add_contour("ball", pc.Sphere(radius), frame="ball")
+        scene.add_contact("c", ball, scene.add_contour("arch", pc.Cycloid(0.05)))
+        place, aim = 0.5 * rng.normal(size=3), arch[rng.integers(5_000, 15_000)]
+        # more than the ball's radius away from all of it
+        place *= max(1.0, 0.3 / np.linalg.norm(place))
+        ways = np.linalg.norm(place + np.linspace(0.0, 1.0, 2001)[:, None, None] * (aim - place) - arch[::20], axis=2)
+        first = int(np.argmax(ways.min(axis=1) < radius))
+        state = scene.initial_state([*place, 0, 0, 0, 1], [*(aim - place), 0, 0, 0], free=["c"])
+        nowhere += not state.candidates["c"]
+        if not 5 < int(np.argmin(ways[first])) < len(arch[::20]) - 6:
+            # it comes to an end first
+            continue
+        run = pc.simulate(scene, state, 1.0, **options)
+        assert run.status == 0, run.message
+        assert [event.kind for event in run.events][:1] == ["touch"]
+        there = place + run.events[0].time * (aim - place)
+        # samples are 3e-5 m apart: good to their square over the radius
+        assert np.linalg.norm(arch - there, axis=1).min() == pytest.approx(radius, abs=1e-6)
+    assert nowhere

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pincontact as pc
-from pincontact.contours.bends import _bends, _enclosed, bends_less
+from pincontact.contours.bends import _bends, bends_less, enclosed
 from pincontact.contours.enclosures import Interval
 from pincontact.contours.tape import traced
 
@@ -36,7 +36,7 @@ def test_bounds_hold_all_samples(name):
         places = low[:, None] + width * rng.uniform(size=(20, 50, 2))
         rows = field.evaluate_many(places.reshape(-1, 2)).reshape(20, 50, 10, 3)[:, :, [0, 1, 2, 3, 4, 5], 2]
         with np.errstate(all="ignore"):
-            jet = _enclosed(field.pool, Interval(low.T, low.T + width))[2]
+            jet = enclosed(field.pool, Interval(low.T, low.T + width))[2]
         parts = [
             (jet.value.lo, jet.value.hi),
             *((jet.first.lo[i], jet.first.hi[i]) for i in range(2)),

@@ -12,8 +12,7 @@ from made_systems import made_system
 from shared import one_body
 
 import pincontact as pc
-from pincontact.constraints.kinematics import basis_at_contact
-from pincontact.constraints.stationary import _is_solved
+from pincontact.constraints.kinematics import _is_solved, basis_at_contact
 from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import cells, nearest
@@ -22,7 +21,7 @@ from pincontact.geometry.location import NORMAL, conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
 from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
 from pincontact.geometry.search import _seeds, find_candidates, sample, stationary_points
-from pincontact.layout import K1, K2, LENGTH, PATTERN, SYSTEM
+from pincontact.layout import FREE, K1, K2, LENGTH, MODE, NOTHING_THERE, OK, PATTERN, SYSTEM
 
 UNKNOWN = np.full(4, np.nan)
 basis_of, solve_of = from_python(basis_at_contact), from_python(solve_location)
@@ -301,8 +300,8 @@ def test_samples_are_of_the_placed_contour(contour):
                 continue
             # all of it, or of what is within the window, but for a thousandth at each end
             if contour.name == "Helix":
-                # 1.5 m of height are 31.4 rad: the next doubling
-                low, high = -48.0, 48.0
+                # 1.9 m of height are 39.8 rad: the next quarter of an octave
+                low, high = -(2.0**5.5), 2.0**5.5
             elif not math.isfinite(high - low):
                 low, high = -1.5, 1.5
             inset = 1e-3 * (high - low)
@@ -345,14 +344,17 @@ def test_what_goes_on_for_ever_in_angles_is_followed_as_far_as_it_is_near(make, 
 
 
 def test_samples_of_what_goes_on_for_ever():
-    """To where it is outside the window, or as many as there may be; from a domain's end where it has one."""
+    """To where it is outside the window, to the next quarter of an octave, or as many as there may be; from a domain's
+    end where it has one."""
+    # 3.4 m from the origin, at 0.1 m a radian
+    end = 2.0**5.25
     for contour, window, ends, count in (
-        (pc.Helix(0.4, 0.2 * math.pi), 3.0, (-48.0, 48.0), 396),
-        (pc.Helix(0.4, 0.2 * math.pi, (5.0, math.inf)), 3.0, (5.0, 53.0), 241),
-        (pc.Helix(0.4, 0.2 * math.pi, (-math.inf, 40.0)), 3.0, (-48.0, 40.0), 363),
+        (pc.Helix(0.4, 0.2 * math.pi), 3.0, (-end, end), 314),
+        (pc.Helix(0.4, 0.2 * math.pi, (5.0, math.inf)), 3.0, (5.0, end), 241),
+        (pc.Helix(0.4, 0.2 * math.pi, (-math.inf, 40.0)), 3.0, (-end, 40.0), 322),
         # that never leaves it, and is one radius a radian
-        (pc.Helix(0.4, 0.0), 1.0, (-256.0, 256.0), 2048),
-        (by_formula(0.4, 0.1), 3.0, (-48.0, 48.0), 241),
+        (pc.Helix(0.4, 0.0), 1.0, (-358.4, 358.4), 2868),
+        (by_formula(0.4, 0.1), 3.0, (-end, end), 241),
     ):
         parameters, *_ = sample(contour, MOVED, 0.0, window, np.full(2, np.nan))
         inset = 1e-3 * (ends[1] - ends[0])
@@ -363,7 +365,8 @@ def test_samples_of_what_goes_on_for_ever():
     )
     parameters, *_ = sample(surface, MOVED, 0.0, 3.0, np.full(2, np.nan))
     assert len(parameters) == 61 * 31
-    assert parameters[:, 0].max() == pytest.approx(48.0 * (1.0 - 2e-3), rel=1e-12)
+    # 4 m from the origin
+    assert parameters[:, 0].max() == pytest.approx(2.0**5.5 * (1.0 - 2e-3), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -511,12 +514,33 @@ def test_equations_are_solved_for_tangents_of_any_length(shape, ground, scale):
     for body, row in tangents:
         system.derivatives[:] = derivatives
         system.derivatives[body, row] *= scale
-        assert _is_solved(system)
+        assert _is_solved(system, 0)
         # a hundredth of a rad off in the only way that matters
         length = np.linalg.norm(system.derivatives[body, row])
         away = system.frames[1, 3] - system.frames[0, 3] + derivatives[1, 0] - derivatives[0, 0]
         system.derivatives[body, row] += 0.01 * length * away / np.linalg.norm(away)
-        assert not _is_solved(system)
+        assert not _is_solved(system, 0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "ground"), [(pc.Sphere(0.05), pc.Helix(0.6, 0.2)), (pc.Ellipsoid(0.05, 0.04, 0.06), pc.Torus(0.6, 0.2))]
+)
+def test_open_contacts_are_not_followed_to_poles(shape, ground):
+    """From starts all over, some of which lead there: where Newton's method ends, both tangents are at right angles to
+    the way between the points, or the contact is nowhere."""
+    system, lost = system_of(shape, ground, [0.3, 0.1, 0.2, *turned(2)]), 0
+    system.contact_int[0, MODE] = FREE
+    for start in np.random.default_rng(6).uniform(-3.0, 3.0, size=(300, 4)):
+        system.location[0] = start
+        assert system.evaluate_kinematics(0.0) == OK
+        if system.gaps[0, 0] == NOTHING_THERE:
+            lost += 1
+            continue
+        way = system.frames[1, 3] + system.derivatives[1, 0] - system.frames[0, 3] - system.derivatives[0, 0]
+        for body, contour in enumerate((system.contacts[0].body1.contour, system.contacts[0].body2.contour)):
+            for tangent in system.derivatives[body, 1 : 1 + contour.dimension]:
+                assert abs(tangent @ way) <= 1e-6 * np.linalg.norm(tangent) * np.linalg.norm(way)
+    assert 0 < lost < 300
 
 
 def test_the_axis_that_normals_of_a_curve_are_made_from():

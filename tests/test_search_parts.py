@@ -125,8 +125,8 @@ def test_the_part_of_a_domain_that_is_looked_at(beyond):
     assert off == pytest.approx((max(-1.0, 0.1 - math.hypot(0.4, 0.4) - 2.0 * extent - beyond), 0.1), rel=1e-12)
 
 
-def test_lengths_of_parameters_without_end_are_those_where_it_is_touched():
-    """A rod of 4 m for each unit of its parameter, from where its contact was last."""
+def test_parameters_without_end_are_looked_at_where_something_may_be_near():
+    """A rod of 4 m for each unit of its parameter, of which its contact was last at 0.5."""
     rod = pc.ParametricSurface(
         lambda u, v: (0.1 * np.cos(u), 0.1 * np.sin(u), 4.0 * v),
         ((0.0, 2.0 * math.pi), (-math.inf, math.inf)),
@@ -136,8 +136,10 @@ def test_lengths_of_parameters_without_end_are_those_where_it_is_touched():
     system.location[0, 2:] = 0.0, 0.5
     search = NearestSearch(system, 0, 0.0)
     _, (low, high) = search._box(0.0, np.array([0.5, 0.0, 2.0]), 0.3)
-    # 0.4 m to the centre, and 0.3 beyond
-    assert (low, high) == pytest.approx((0.5 - 0.7 / 4.0, 0.5 + 0.7 / 4.0), rel=1e-12)
+    # 0.4 m to the centre, and 0.3 beyond, of which the rod is 0.4 m away: to the next quarters of octaves
+    along = math.sqrt(0.7**2 - 0.4**2)
+    for end, exact in ((low, 0.5 - along / 4.0), (high, 0.5 + along / 4.0)):
+        assert abs(end - 0.5) >= abs(exact - 0.5) and abs(math.log2(end / exact)) < 0.25
 
 
 def test_the_parameters_at_which_a_ball_faces_a_point():
@@ -354,11 +356,13 @@ def test_windows_of_endless_parameters_are_measured_along_them(slope):
     """A plane that rises along its second parameter leaves the window in m sooner there."""
     plane = pc.HeightField(lambda x, y: 2.0 + slope * y)
     low, high, count = _within(plane, 1, 0.0, 10.0)
-    assert (low, high) == pytest.approx((-10.0, 10.0))
+    # where it is 12 m from its origin, 2 m under it, to the next quarter of an octave
+    for end in (low, high):
+        assert np.linalg.norm(plane.point((0.0, end / 2.0**0.25))) < 12.0 < np.linalg.norm(plane.point((0.0, end)))
     flat = _within(plane, 0, 0.0, 10.0)
-    assert flat[:2] == pytest.approx((-10.0, 10.0))
+    assert flat[:2] == pytest.approx((-(2.0**3.75), 2.0**3.75), rel=1e-12)
     # as many samples per metre, up to the rounding of their number
-    assert count == pytest.approx(flat[2] * np.hypot(1.0, slope), abs=3.0)
+    assert count / (high - low) == pytest.approx(flat[2] / (flat[1] - flat[0]) * np.hypot(1.0, slope), rel=0.1)
 
 
 def test_what_is_inside_between_places_that_are_not():

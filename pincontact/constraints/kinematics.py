@@ -72,6 +72,8 @@ from ..workspace import reals_at
 
 # rows of the scratch array `vectors` after those of `geometry.location`; NORMAL_RATE: n', see `acceleration_bias`
 _A, _B, _C, _D, NORMAL_RATE = range(FREE_VECTORS, FREE_VECTORS + 5)
+# Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
+_SOLVED = 1e-6
 # Rows with a larger entry are not looked at for round-off.
 _SMALL_ROW = 1e-9
 # What rounding leaves of a contact's row whose terms cancel, as a part of these, with a margin.
@@ -170,7 +172,7 @@ def locate(system, c):
         shape_in_world(system, c, 1)
         measure(system, c)
         if converged:
-            return OK
+            return OK if _is_solved(system, c) else LOCATION_FAILED
         location_jacobian(system, c)
         location_residual(system, c)
         determinant = solve_location(integers[K1], integers[K2], system.location_system)
@@ -187,6 +189,23 @@ def locate(system, c):
         add_coordinates(integers, change, location)
         converged = step <= NEWTON_STEP * numbers[LENGTH]
     return LOCATION_FAILED
+
+
+@kernel
+def _is_solved(system, c):
+    """Whether C1, but for the gap, and C2 hold for unit tangents, too."""
+    integers, length = system.contact_int[c], system.contact_real[c, LENGTH]
+    first, second, difference = system.derivatives[2 * c], system.derivatives[2 * c + 1], system.vectors[DIFFERENCE]
+    solved, least = True, _SOLVED * _SOLVED * max(length * length, dot(difference, difference))
+    for a in range(1, 1 + integers[K2]):
+        solved = solved and dot(second[a], difference) ** 2 <= least * dot(second[a], second[a])
+    across = difference
+    if integers[PATTERN] != CROSSING_CURVES:
+        across = system.vectors[NORMAL]
+        least = _SOLVED * _SOLVED * dot(across, across)
+    for a in range(1, 1 + integers[K1]):
+        solved = solved and dot(first[a], across) ** 2 <= least * dot(first[a], first[a])
+    return solved
 
 
 @kernel

@@ -8,9 +8,9 @@ from ..arrays import array_entry
 from ..contours.base import F_11, F_12, F_22
 from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import change_charts
-from ..geometry.location import DIFFERENCE, NO_CLOSED_FORM, ROUND_ON_PLANE
+from ..geometry.location import ROUND_ON_PLANE
 from ..geometry.patterns import CROSSING_CURVES, ON_CURVE
-from ..geometry.small import dot, norm
+from ..geometry.small import dot
 from ..jit import CALLED, INTEGER, REAL, kernel
 from ..layout import (
     BRANCH,
@@ -19,7 +19,6 @@ from ..layout import (
     CONDITION,
     K1,
     K2,
-    LENGTH,
     LOCATION_FAILED,
     OK,
     PATTERN,
@@ -28,8 +27,6 @@ from ..layout import (
 )
 from .kinematics import contact_kinematics
 
-# Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
-_SOLVED = 1e-6
 # What is found: columns of integers, and of reals: contact coordinates (4), signed distance in m along the normal of
 # the side assumed, points (3) of body 1 and body 2 in m, in the world.
 STATUS, FOUND_SIDE, FOUND_SIGN, FOUND_CHARTS, INTEGERS_FOUND = 0, 1, 2, 3, 5
@@ -45,11 +42,9 @@ def find_stationary(address, starts, branches, charts, integers, reals):
     system = system_at(address)
     for i in range(starts.shape[0]):
         system.contact_int[0, BRANCH] = branches[i]
-        status, solved = _find(system, starts[i], charts), False
-        if status == OK:
-            solved = _is_solved(system)
+        integers[i, STATUS] = _find(system, starts[i], charts)
+        if integers[i, STATUS] == OK:
             _describe(system, branches[i], integers[i], reals[i])
-        integers[i, STATUS] = status if solved or status != OK else LOCATION_FAILED
 
 
 @kernel
@@ -64,8 +59,11 @@ def _find(system, start, charts):
         if charts[k, 0] == 0 and charts[k, 1] == 0:
             _choose_charts(system)
         status = contact_kinematics(system, 0, False)
+        # also where Newton's method ended at a pole
+        if status in (OK, LOCATION_FAILED) and _choose_charts(system):
+            status = contact_kinematics(system, 0, False)
         if status == OK:
-            return contact_kinematics(system, 0, False) if _choose_charts(system) else OK
+            return OK
     return status
 
 
@@ -81,26 +79,6 @@ def _choose_charts(system):
     for a in range(4):
         location[a] = system.state[first + a]
     return changed
-
-
-@kernel
-def _is_solved(system):
-    """Whether C1, but for the gap, and C2 hold for unit tangents, too."""
-    integers = system.contact_int[0]
-    if integers[CLOSED_FORM] != NO_CLOSED_FORM:
-        return True
-    first, second, difference = system.derivatives[0], system.derivatives[1], system.vectors[DIFFERENCE]
-    pattern, tolerance = integers[PATTERN], _SOLVED * max(system.contact_real[0, LENGTH], norm(difference))
-    for a in range(1, 1 + integers[K2]):
-        if not abs(dot(second[a], difference)) <= tolerance * norm(second[a]):
-            return False
-    for a in range(1, 1 + integers[K1]):
-        if pattern == CROSSING_CURVES:
-            if not abs(dot(first[a], difference)) <= tolerance * norm(first[a]):
-                return False
-        elif not abs(dot(first[a], system.basis[0, 2])) <= _SOLVED * norm(first[a]):
-            return False
-    return True
 
 
 @kernel

@@ -22,7 +22,7 @@ _TIE = 1e-3
 _OUTWARDS = 8.0
 
 
-class _Jet(NamedTuple):
+class Jet(NamedTuple):
     """Bounds (m,) of a quantity on m boxes of n variables, (n, m) and (n, n, m) of its first and second derivatives."""
 
     value: Interval
@@ -80,7 +80,7 @@ def _bends(contour: Contour, side: int, low: np.ndarray, high: np.ndarray) -> np
 
 
 def _bent(contour: Contour, side: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    parts = _enclosed(contour.pool, Interval(low.T, high.T))
+    parts = enclosed(contour.pool, Interval(low.T, high.T))
 
     def dot(a: list[Interval], b: list[Interval]) -> Interval:
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -115,7 +115,7 @@ def _bent(contour: Contour, side: int, low: np.ndarray, high: np.ndarray) -> np.
     return np.where(least > 0.0, np.maximum(bent, 0.0) / (least * length(normal)), np.inf)
 
 
-def _enclosed(pool: np.ndarray, box: Interval) -> list[_Jet]:
+def enclosed(pool: np.ndarray, box: Interval) -> list[Jet]:
     """The tape's outputs over boxes (n, m) of its variables."""
     count, n, width, scratch, outputs = (int(number) for number in pool[: ops.RESULTS])
     m = box.lo.shape[1]
@@ -123,19 +123,19 @@ def _enclosed(pool: np.ndarray, box: Interval) -> list[_Jet]:
     def constant(shape: tuple[int, ...], number: float = 0.0) -> Interval:
         return Interval(*np.full((2, *shape, m), number))
 
-    slots: list[_Jet] = []
+    slots: list[Jet] = []
     for i in range(n):
         own = constant((n,))
         own.lo[i] = own.hi[i] = 1.0
-        slots.append(_Jet(Interval(box.lo[i], box.hi[i]), own, constant((n, n))))
+        slots.append(Jet(Interval(box.lo[i], box.hi[i]), own, constant((n, n))))
     for k in range(count):
         at = ops.INSTRUCTIONS + ops.INSTRUCTION_SIZE * k
         op, a, b, c, d = pool[at : at + ops.INSTRUCTION_SIZE].tolist()
         x, y = (slots[(int(offset) - scratch) // width] for offset in (a, b or scratch))
         if op == ops.LINEAR:
-            slots.append(_Jet(*(p.affine(c) + q.affine(d) for p, q in zip(x, y))))
+            slots.append(Jet(*(p.affine(c) + q.affine(d) for p, q in zip(x, y))))
         elif op == ops.AFFINE:
-            slots.append(_Jet(x.value.affine(c, d), x.first.affine(c), x.second.affine(c)))
+            slots.append(Jet(x.value.affine(c, d), x.first.affine(c), x.second.affine(c)))
         elif op == ops.SINCOS:
             slots += [_chain(ops.SIN, c, x), _chain(ops.COS, c, x)]
         else:
@@ -144,25 +144,25 @@ def _enclosed(pool: np.ndarray, box: Interval) -> list[_Jet]:
     for i in range(outputs):
         offset, number = pool[ops.RESULTS + 2 * i : ops.RESULTS + 2 * i + 2].tolist()
         known = slots[(int(offset) - scratch) // width] if offset >= 0.0 else None
-        found.append(known or _Jet(constant((), number), constant((n,)), constant((n, n))))
+        found.append(known or Jet(constant((), number), constant((n,)), constant((n, n))))
     return found
 
 
-def _chain(op: int, c: float, x: _Jet) -> _Jet:
+def _chain(op: int, c: float, x: Jet) -> Jet:
     """A function of one variable."""
     f, f_x = of_one(op, c, x.value)
     f_xx = _second(op, c, x.value, f, f_x)
-    return _Jet(f, f_x * x.first, f_x * x.second + f_xx * _outer(x.first, x.first))
+    return Jet(f, f_x * x.first, f_x * x.second + f_xx * _outer(x.first, x.first))
 
 
-def _chain_two(op: int, x: _Jet, y: _Jet) -> _Jet:
+def _chain_two(op: int, x: Jet, y: Jet) -> Jet:
     """A function of two variables."""
     f, f_x, f_y = of_two(op, x.value, y.value)
     second = f_x * x.second + f_y * y.second
     mixed = _outer(x.first, y.first)
     mixed = mixed + Interval(mixed.lo.swapaxes(0, 1), mixed.hi.swapaxes(0, 1))
     if op == ops.MULTIPLY:
-        return _Jet(f, f_x * x.first + f_y * y.first, second + mixed)
+        return Jet(f, f_x * x.first + f_y * y.first, second + mixed)
     if op == ops.DIVIDE:
         f_xy, f_xx = f_x.square().affine(-1.0), Interval(*np.zeros((2, 1)))
         f_yy = (f_y * f_x).affine(-2.0)
@@ -170,7 +170,7 @@ def _chain_two(op: int, x: _Jet, y: _Jet) -> _Jet:
         f_xx = (f_x * f_y).affine(2.0)
         f_xy, f_yy = f_y.square() + f_x.square().affine(-1.0), f_xx.affine(-1.0)
     squares = f_xx * _outer(x.first, x.first) + f_yy * _outer(y.first, y.first)
-    return _Jet(f, f_x * x.first + f_y * y.first, second + f_xy * mixed + squares)
+    return Jet(f, f_x * x.first + f_y * y.first, second + f_xy * mixed + squares)
 
 
 def _outer(a: Interval, b: Interval) -> Interval:

@@ -11,6 +11,7 @@ import pinocchio as pin
 import scipy
 
 from ..contours import Contour
+from ..contours.tails import ends_near
 from ..errors import SingularContactError
 from ..layout import CLOSED_FORM, CONDITION, DETERMINANT_SIGN, END_MARGIN, LENGTH, OK, PATTERN, SAME_PLACE, SINGULAR
 from ..workspace import Workspace
@@ -32,6 +33,8 @@ _LEAST_WINDOW = 1e-3
 # Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
 # taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
+# Places that are tried in each octave where a contour may leave what is near.
+_PARTS = 8
 _UNKNOWN = (math.nan, math.nan)
 
 
@@ -235,25 +238,44 @@ def spaced(points: np.ndarray, order: np.ndarray, distance: float, count: int) -
         order = order[np.linalg.norm(points[order] - points[first], axis=1) > distance]
 
 
-def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, float, int]:
-    """Ends of a parameter without end beyond which the contour is outside the window in m around its origin, or more
-    samples away than there may be; and how many samples show what is between."""
-    middle = [min(max(0.0, low), high) for low, high in contour.domain]
+def ends_within(contour: Contour, a: int, t: float, place: np.ndarray, radius: float) -> tuple[float, float]:
+    """Ends of a parameter beyond which a contour is nowhere within a radius in m of a place (3,) in its frame. Where
+    bounds do not tell them, where it leaves, for what is tried, all that is as near to its origin as that, or as far
+    away as samples reach."""
+    ends = list(ends_near(contour, a, place, radius, t))
+    middle, window = _middle(contour), radius + float(np.linalg.norm(place))
+    speed, spacing = _pace(contour, a, t, window)
+    octaves = max(math.log2(0.25 * _MOST_SAMPLES * spacing / (speed * window)), 0.0)
+    widths = window * 2.0 ** (np.arange(_PARTS * math.ceil(octaves) + 1) / _PARTS)
+    for i, sign in enumerate((-1.0, 1.0)):
+        if math.isinf(ends[i]):
+            tried = np.tile(middle, (len(widths), 1))
+            tried[:, a] += sign * widths
+            near = np.linalg.norm(contour.evaluate_many(tried, t)[:, 0], axis=1) < window
+            ends[i] = float(tried[min(int(np.flatnonzero(near).max(initial=-1)) + 1, len(widths) - 1), a])
+    return ends[0], ends[1]
+
+
+def _middle(contour: Contour) -> list[float]:
+    """Parameters where it is begun to look for where a contour without ends leaves something."""
+    return [min(max(0.0, low), high) for low, high in contour.domain]
+
+
+def _pace(contour: Contour, a: int, t: float, window: float) -> tuple[float, float]:
+    """How fast a contour goes along a parameter, in m per unit, and how far in m samples along it are apart."""
     spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
     # at least so fast that the window is left, or the samples used up, after a while
-    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), _SLOWEST * (spacing / window))
-    ends = []
-    for sign, end in zip((-1.0, 1.0), contour.domain[a]):
-        width = window
-        while not math.isfinite(end) and speed * width < 0.25 * _MOST_SAMPLES * spacing:
-            place = middle.copy()
-            place[a] += sign * width
-            if np.linalg.norm(contour.point(place, t)) >= window:
-                break
-            width *= 2.0
-        ends.append(end if math.isfinite(end) else middle[a] + sign * width)
-    count = speed * (ends[1] - ends[0]) / spacing
-    return ends[0], ends[1], int(min(count, _MOST_SAMPLES - 1)) + 1
+    speed = float(np.linalg.norm(contour.evaluate(_middle(contour), t)[1 + a]))
+    return max(speed, _SLOWEST * (spacing / window)), spacing
+
+
+def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, float, int]:
+    """Ends of a parameter without end beyond which the contour is outside the window in m around its origin, as far as
+    from there to it added; and how many samples show what is between."""
+    radius = window + float(np.linalg.norm(contour.point(_middle(contour), t)))
+    low, high = ends_within(contour, a, t, np.zeros(3), radius)
+    speed, spacing = _pace(contour, a, t, window)
+    return low, high, int(min(speed * (high - low) / spacing, _MOST_SAMPLES - 1)) + 1
 
 
 def sample(

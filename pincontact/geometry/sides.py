@@ -80,7 +80,7 @@ class Beside:
         """On which side of e_3 body 1 is at the last evaluation, +1 or -1, 0 where its middle is on neither, or it is a
         point, and whether it is over body 2: the nearest point is at none of its ends."""
         self._place, piece, numbers = self.place(), self.piece, self.system.contact_real[self.c]
-        u, values = _nearest_point(piece, self._place, t)
+        u, values = nearest_point(piece, self._place, t)
         across = values[2] if piece.dimension == 2 else np.array([0.0, 0.0, 1.0])
         normal, way = np.cross(values[1], across), self._place - values[0]
         height, self.distance = float(normal @ way / np.linalg.norm(normal)), float(np.linalg.norm(way))
@@ -99,7 +99,7 @@ class Beside:
         return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
 
 
-def _nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+def nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
     """Parameters (k,) of a contour's nearest point to one (3,) in its frame, its ends included, and f and its
     derivatives (10, 3) there: from the nearest sample down."""
     k = contour.dimension

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from ..dynamics.evaluation import are_at_one_place
 from ..geometry.location import NO_CLOSED_FORM
-from ..geometry.small import norm
+from ..geometry.patterns import CROSSING_CURVES
+from ..geometry.small import dot, norm
 from ..jit import kernel
-from ..layout import CLOSED_FORM, FREE, K1, LENGTH, MODE, NEXT
+from ..layout import (
+    BESIDE,
+    CLOSED_FORM,
+    DOMAIN,
+    FREE,
+    K1,
+    LENGTH,
+    MODE,
+    NEXT,
+    NOTHING_THERE,
+    OVERLAP,
+    PATTERN,
+    UNILATERAL,
+)
 from .accuracy import APART_AT_END, LEAPS
+from .impulse_units import passes_by
 
 # A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
 # explain is another one.
@@ -36,6 +51,21 @@ def is_deeper(system, step, c, gap, rate, h):
     """Whether contact c is deeper inside than it can have come in a step since it was on the near side."""
     fastest = max(abs(rate), abs(step.start_normal[c, 0]))
     return gap < -APART_AT_END * system.contact_real[c, LENGTH] - fastest * h
+
+
+@kernel
+def overlaps_at_end(system, step, c, h):
+    """Whether the bodies of contact c, which is open, overlap where it has come over an end in the step, deeper than by
+    the step itself: not where it is kept out, nor curves that cross, whose side beside their ends does not matter."""
+    contact, numbers, gap = system.contact_int[c], system.contact_real[c], system.gaps[c, 0]
+    # from beyond an end, and not from nowhere
+    entered = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and step.start_gap[c] < NOTHING_THERE
+    if not (entered and contact[UNILATERAL] != 0 and -numbers[OVERLAP] <= gap < 0.0):
+        return False
+    if contact[PATTERN] == CROSSING_CURVES and contact[BESIDE] != 0:
+        return False
+    rate = dot(system.basis[c, 2], system.slip[c])
+    return is_deeper(system, step, c, gap, rate, h) and passes_by(system, step, c, 1.0) == 0
 
 
 @kernel

@@ -13,11 +13,8 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, NEAREST, USUAL
-from ..geometry.patterns import CROSSING_CURVES
-from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
-    BESIDE,
     DOMAIN,
     FREE,
     FRICTIONLESS,
@@ -35,8 +32,6 @@ from ..layout import (
     NO_FORCE,
     NOT_FINITE,
     OK,
-    OVERLAP,
-    PATTERN,
     SINGULAR,
     STICK,
     SYSTEM,
@@ -66,10 +61,9 @@ from .impulse_layout import (
     UNASKED,
     WANTED,
 )
-from .impulse_leaps import has_come_to_another, is_deeper, leaps
+from .impulse_leaps import has_come_to_another, leaps, overlaps_at_end
 from .impulse_problem import least_way
 from .impulse_review import AGAIN, ANEW, may_rest
-from .impulse_units import passes_by
 from .impulse_viscous import begin_sharing
 from .impulse_works import energy_put_right
 from .impulses import advance, leave_turning_axes, predict_midpoint
@@ -482,12 +476,7 @@ def _review_end(system, step, h):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         step.edge_time[c] = -1.0
         if contact[MODE] == FREE:
-            gap, rate = system.gaps[c, 0], dot(system.basis[c, 2], system.slip[c])
-            overlaps = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and -numbers[OVERLAP] <= gap < 0.0
-            overlaps = overlaps and contact[UNILATERAL] != 0 and is_deeper(system, step, c, gap, rate, h)
-            # on which side curves cross beside their ends does not matter
-            overlaps = overlaps and (contact[PATTERN] != CROSSING_CURVES or contact[BESIDE] == 0)
-            if overlaps and passes_by(system, step, c, 1.0) == 0:
+            if overlaps_at_end(system, step, c, h):
                 return OVERLAPS_AT_END
             continue
         if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:

@@ -29,7 +29,7 @@ from .geometry.carriers import ORIGIN
 from .geometry.nearest import NearestSearch, is_searched
 from .geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
-from .geometry.sides import Beside, nearest_point
+from .geometry.sides import Beside, nearest_point, side_of_crossing
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
@@ -428,8 +428,11 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
             raise
         found = _beside(single, t, guess)
     if crosses and found:
-        # curves have no inside: on the side on which they are apart
-        return _Found(found, 1 if found[0].gap >= 0.0 else -1, True)
+        single.location[0], single.contact_int[0, MODE] = found[0].location, FREE
+        single.contact_int[0, [BRANCH, DETERMINANT_SIGN]] = found[0].branch, found[0].determinant_sign
+        single.side_int[:2, CHART] = found[0].charts
+        single.evaluate_kinematics(t)
+        return _Found(found, side_of_crossing(single, 0) or 1, True)
     is_beyond = bool(found) and not comes_back(single, found[0])
     if is_seen and (is_beyond or not (is_over and found)):
         side = side or told

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..contours import Contour
-from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE
+from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import OMEGA, ORIGIN, VELOCITY
 from .location import NO_CLOSED_FORM
@@ -121,3 +121,21 @@ def nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.nda
         else:
             factor *= 0.5
     return u, values
+
+
+def side_of_crossing(system: Workspace, c: int) -> int:
+    """On which side of e_3 body 1 is whose curve crosses that of body 2, as last evaluated, +1 or -1: that on which the
+    curves are apart, or, where they touch as far as is known, as edges of solids that slide on each other do, that of
+    the mass of what carries them; 0 where neither tells."""
+    side, gap, length = int(system.contact_int[c, SIDE]), float(system.gaps[c, 0]), system.contact_real[c, LENGTH]
+    if abs(gap) > SAME_PLACE * length:
+        return side if gap > 0.0 else -side
+    contact, towards = system.contacts[c], 0.0
+    for i, body in enumerate((contact.body1, contact.body2)):
+        if body.joint != 0:
+            frame = system.frames[2 * c + i]
+            mass = body.placement_in_joint.actInv(system.model.inertias[body.joint].lever)
+            way = frame[:3] @ mass - system.derivatives[2 * c + i, 0]
+            # e_3 leads from body 1 to body 2
+            towards += (-1.0, 1.0)[i] * float(system.basis[c, 2] @ way)
+    return 0 if abs(towards) <= SAME_PLACE * length else side if towards > 0.0 else -side

@@ -35,8 +35,8 @@ from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
 TOUCHING = 1e-12
-# Instants of a step: an impulse is spread over it, and what does not happen in it.
-SPREAD, NEVER = -1.0, math.inf
+# Instants of a step: an impulse is spread over it; what is kept out at an end; and what does not happen in it.
+SPREAD, PASSING, NEVER = -1.0, -2.0, math.inf
 
 
 @kernel
@@ -106,7 +106,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
 
 @kernel
 def _when_it_touches(system, step, c):
-    """When contact c, which is open, closes in the step, SPREAD or NEVER."""
+    """When contact c, which is open, closes in the step, SPREAD, PASSING or NEVER."""
     h, ahead, trend = step.numbers.h, step.numbers.ahead, step.counts.has_trend
     if step.behind[c] != 0:
         return NEVER
@@ -124,8 +124,10 @@ def _when_it_touches(system, step, c):
         instant = _touch_instant(gap, speed, rate, touching, h)
         if instant != NEVER and later < math.inf:
             part = instant / ahead if ahead > 0.0 else 0.0
-            is_outside = _way_at(start, later, part) < 0.0 or passes_by(system, step, c, part) != 0
-            instant = NEVER if is_outside else instant
+            if _way_at(start, later, part) < 0.0:
+                instant = NEVER
+            elif passes_by(system, step, c, part) != 0:
+                instant = PASSING
     step.instant[c] = instant
     return instant
 
@@ -147,7 +149,7 @@ def gather_contacts(system, step):
                 continue
         elif mode == FREE:
             instant = _when_it_touches(system, step, c)
-            if instant == NEVER:
+            if instant in (PASSING, NEVER):
                 continue
         if contact_real[c, CURVE_SPEED] > 0.0 and mode != STICK:
             basis, slip = system.basis[c], system.slip[c]

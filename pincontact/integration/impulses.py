@@ -88,7 +88,7 @@ from .impulse_layout import (
 from .impulse_leaps import LEAP, is_deeper
 from .impulse_problem import least_way
 from .impulse_review import ANEW, DONE, review, slip_at_end
-from .impulse_units import TOUCHING
+from .impulse_units import NEVER, PASSING, TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_viscous import add_viscous_impulses, shares_viscous
 from .impulse_works import add_works, count_energy_made, energy_made, velocity_change
@@ -458,7 +458,9 @@ def commit_contact(system, step, c, stepped):
     # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone
     # over to other stationary points, touches after it has been on the near side only, as far as steps tell
     behind, h = False, step.numbers.h
-    if step.behind[c] != 0 or step.start_domain[c] <= APART_AT_END * system.contact_real[c, LENGTH]:
+    if step.instant[c] == PASSING:
+        behind = True
+    elif step.behind[c] != 0 or step.start_domain[c] <= APART_AT_END * system.contact_real[c, LENGTH]:
         behind = is_deeper(system, step, c, gap, rate, h)
     elif was_closed:
         # opened by what struck elsewhere, after this had come inside: it touches in the next step
@@ -466,7 +468,7 @@ def commit_contact(system, step, c, stepped):
     elif system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
         behind = is_deeper(system, step, c, gap - before, rate, LEAP * h)
     step.behind[c] = 1 if mode == FREE and gap < 0.0 <= domain and behind else 0
-    step.start_domain[c] = domain
+    step.start_domain[c], step.instant[c] = domain, NEVER
     step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)
     contact, known, changed = system.contact_int[c], step.known[c], False
     for i in range(CONTACT_INTS + 2):

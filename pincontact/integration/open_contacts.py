@@ -16,7 +16,7 @@ from ..geometry.location import NO_CLOSED_FORM, POINT_ON_SPHERE, SPHERE_ON_SPHER
 from ..geometry.nearest import is_searched
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.search import find_candidates, on_side
-from ..geometry.sides import Beside
+from ..geometry.sides import Beside, side_of_crossing
 from ..geometry.single_touch import touches_once
 from ..layout import (
     BENDING,
@@ -179,9 +179,12 @@ class OpenContacts:
     def _cross(self, c: int) -> None:
         """Have crossing curves that are beside each other's ends, or have come in from there on the far side, on the
         side on which they are apart."""
-        numbers = self.system.contact_real[c]
-        if self.system.gaps[c, 0] < 0.0 and (numbers[DOMAIN] < 0.0 or not self.apart[c]):
-            self.system.contact_int[c, SIDE] *= -1
+        numbers, gap = self.system.contact_real[c], self.system.gaps[c, 0]
+        if gap >= NOTHING_THERE or (numbers[DOMAIN] >= 0.0 and self.apart[c]):
+            return
+        side = side_of_crossing(self.system, c)
+        if side not in (0, self.system.contact_int[c, SIDE]):
+            self.system.contact_int[c, SIDE] = side
             for normal in (LAST_NORMAL_X, NEXT_NORMAL_X):
                 numbers[normal : normal + 3] *= -1.0
             self.relocated.add(c)

@@ -25,11 +25,10 @@ from .dynamics.manifold import (
 )
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
-from .geometry.carriers import ORIGIN
 from .geometry.nearest import NearestSearch, is_searched
-from .geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
+from .geometry.patterns import CROSSING_CURVES
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
-from .geometry.sides import Beside, nearest_point, side_of_crossing
+from .geometry.sides import Beside, middle_of_domains, side_of_all, side_of_crossing
 from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
@@ -346,7 +345,7 @@ def find_state(
                     found[contact.name].side,
                     found[contact.name].is_beside,
                 )
-                system.location[c] = _middle(contact)
+                system.location[c] = middle_of_domains(contact)
             else:
                 untouched[contact.name] = error
             continue
@@ -443,17 +442,8 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         found = [one for one in found if one.gap >= 0.0] or (found if as_found else _beside(single, t, guess))
     is_nowhere = not found and is_searched(single, 0) and _are_apart(single, t)
     if is_nowhere:
-        side = side or _side_of_all(single, t)
+        side = side or side_of_all(single, t)
     return _Found(found, side, not is_over, is_nowhere and side != 0)
-
-
-def _middle(contact: Contact) -> np.ndarray:
-    """(4,) contact coordinates in the middle of both domains, 0 where these are infinite."""
-    middle = np.zeros(4)
-    for offset, body in ((0, contact.body1), (2, contact.body2)):
-        for a, ends in enumerate(body.contour.domain):
-            middle[offset + a] = 0.5 * sum(ends) if np.isfinite(ends).all() else 0.0
-    return middle
 
 
 def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
@@ -469,7 +459,7 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    if every and not found and _side_of_all(single, t) != (contact.side or 1):
+    if every and not found and side_of_all(single, t) != (contact.side or 1):
         raise SingularContactError(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
             f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",
@@ -485,20 +475,6 @@ def _are_apart(single: System, t: float) -> bool:
         return False
     single.evaluate_kinematics(t)
     return NearestSearch(single, 0, t).search(t).distance > 0.0
-
-
-def _side_of_all(single: System, t: float) -> int:
-    """On which side of body 2 body 1 is, from which it is apart, as evaluated: where body 2 has no ends, that of any of
-    its points; 0 elsewhere."""
-    contact, (own, other) = single.contacts[0], single.frames[:2]
-    one, two = contact.body1.contour, contact.body2.contour
-    if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR) or np.isfinite(two.ends()).any():
-        return 0
-    point = own[:3] @ one.point(_middle(contact)[: one.dimension].tolist(), t) + own[ORIGIN]
-    local = other[:3].T @ (point - other[ORIGIN])
-    _, values = nearest_point(two, local, t)
-    normal = np.cross(values[1], values[2] if two.dimension == 2 else [0.0, 0.0, 1.0])
-    return int(np.sign(normal @ (local - values[0])))
 
 
 def _together(untouched: dict[str, NoContactError]) -> NoContactError:

@@ -141,3 +141,60 @@ def test_parallel_rods_start_open():
     assert run.status == 0, run.message
     assert run.events[0].kind == "touch"
     assert run.events[0].time == pytest.approx(np.sqrt(2 * 0.1 / G), abs=1e-9)
+
+
+def mark(*signs: float) -> str:
+    return "".join("+" if sign > 0 else "-" for sign in signs)
+
+
+def add_box(scene: pc.Scene, name: str, sizes, frame: str | None = None, place: pin.SE3 | None = None) -> None:
+    """Faces, with names "face x+", edges, "edge x-+" and corners, "corner +-+", of a box."""
+    half, place = 0.5 * np.asarray(sizes), pin.SE3.Identity() if place is None else place
+    where = {} if frame is None else {"frame": frame}
+    for axis in range(3):
+        along, others = np.eye(3)[axis], [(axis + 1) % 3, (axis + 2) % 3]
+        for sign in (-1.0, 1.0):
+            # the normal is outwards, u_1 and u_2 are along the next axes
+            turned = np.column_stack([np.eye(3)[others[0]], sign * np.eye(3)[others[1]], sign * along])
+            face = pc.Plane(tuple((-half[k], half[k]) for k in others))
+            pose = place * pin.SE3(turned, sign * half[axis] * along)
+            scene.add_contour(f"{name} face {'xyz'[axis]}{mark(sign)}", face, placement=pose, **where)
+        for one in (-1.0, 1.0):
+            for two in (-1.0, 1.0):
+                middle = one * half[others[0]] * np.eye(3)[others[0]] + two * half[others[1]] * np.eye(3)[others[1]]
+                turned = np.column_stack([along, np.eye(3)[others[0]], np.eye(3)[others[1]]])
+                pose, edge = place * pin.SE3(turned, middle), pc.Line((-half[axis], half[axis]))
+                scene.add_contour(f"{name} edge {'xyz'[axis]}{mark(one, two)}", edge, placement=pose, **where)
+    for k in range(8):
+        signs = np.array([1.0 if k >> i & 1 else -1.0 for i in range(3)])
+        corner = place * pin.SE3(np.eye(3), signs * half)
+        scene.add_contour(f"{name} corner {mark(*signs)}", pc.Point(), placement=corner, **where)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=["DOP853", "Moreau"])
+@pytest.mark.parametrize(
+    ("gap", "yaw", "way", "mu"), [(0.03, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.03, 0.4, 0.3, 0.05)]
+)
+def test_a_box_slides_over_tables_in_space(gap, yaw, way, mu, method):
+    """All faces, edges and corners of all three boxes are declared. Edges cross at height zero, where rounding chose
+    their sides: they pulled the box down, or threw it over (-4, or status 0 and half a metre off)."""
+    sizes = np.array([0.3, 0.2, 0.1])
+    scene = pc.Scene(free_body((sizes @ sizes - sizes**2) / 12.0))
+    add_box(scene, "box", sizes, "body")
+    for name, low, high in (("first", -1.0, 0.0), ("second", gap, gap + 2.0)):
+        add_box(scene, name, [high - low, 1.0, 0.2], place=pin.SE3(np.eye(3), np.array([0.5 * (low + high), 0, -0.1])))
+        for kinds in (("corner", "face"), ("face", "corner"), ("edge", "edge")):
+            own = [contour for contour in scene.contours if contour.startswith(f"box {kinds[0]}")]
+            for one in own:
+                for other in [contour for contour in scene.contours if contour.startswith(f"{name} {kinds[1]}")]:
+                    scene.add_contact(f"{one}, {other}", one, other, friction=pc.Coulomb(mu) if mu else None)
+    pose = pin.SE3(pin.utils.rotate("z", yaw), np.array([-0.3, 0.0, 0.05]))
+    closed = [f"box corner {x}{y}-, first face z+" for x in "-+" for y in "-+"]
+    v = [*(pose.rotation.T @ [1.5 * np.cos(way), 1.5 * np.sin(way), 0.0]), 0, 0, 0]
+    state = scene.initial_state(pin.SE3ToXYZQUAT(pose), v, free=[name for name in scene.contacts if name not in closed])
+    run = pc.simulate(scene, state, 0.4, **method)
+    assert run.status == 0, run.message
+    far = 1.5 * 0.4 - 0.5 * mu * G * 0.4**2
+    expected = [-0.3 + far * np.cos(way), far * np.sin(way), 0.05]
+    np.testing.assert_allclose(run.q[-1, :3], expected, atol=1e-9)
+    np.testing.assert_allclose(pin.XYZQUATToSE3(run.q[-1]).rotation, pose.rotation, atol=1e-9)

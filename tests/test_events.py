@@ -448,7 +448,8 @@ def test_ball_rolls_off_a_table():
     assert run.status == 0, run.message
     assert kinds(run) == ["edge"]
     off = edge / speed
-    assert abs(run.events[0].time - off) <= 1e-11
+    # the end is 1e-11 m further out, that what is at it may be on it
+    assert abs(run.events[0].time - off) <= 2e-11
     fall = np.maximum(times - off, 0.0)
     path = np.column_stack([speed * times, np.zeros_like(times), RADIUS - 0.5 * G * fall**2])
     assert np.abs(run.q[:, :3] - path).max() <= 1e-10

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from ..contacts import Contact
 from ..contours import Contour
 from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
@@ -139,3 +140,26 @@ def side_of_crossing(system: Workspace, c: int) -> int:
             # e_3 leads from body 1 to body 2
             towards += (-1.0, 1.0)[i] * float(system.basis[c, 2] @ way)
     return 0 if abs(towards) <= SAME_PLACE * length else side if towards > 0.0 else -side
+
+
+def side_of_all(single: Workspace, t: float) -> int:
+    """On which side of body 2 body 1 is, from which it is apart, as evaluated: where body 2 has no ends, that of any of
+    its points; 0 elsewhere."""
+    contact, (own, other) = single.contacts[0], single.frames[:2]
+    one, two = contact.body1.contour, contact.body2.contour
+    if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR) or np.isfinite(two.ends()).any():
+        return 0
+    point = own[:3] @ one.point(middle_of_domains(contact)[: one.dimension].tolist(), t) + own[ORIGIN]
+    local = other[:3].T @ (point - other[ORIGIN])
+    _, values = nearest_point(two, local, t)
+    normal = np.cross(values[1], values[2] if two.dimension == 2 else [0.0, 0.0, 1.0])
+    return int(np.sign(normal @ (local - values[0])))
+
+
+def middle_of_domains(contact: Contact) -> np.ndarray:
+    """(4,) contact coordinates in the middle of both domains, 0 where these are infinite."""
+    middle = np.zeros(4)
+    for offset, body in ((0, contact.body1), (2, contact.body2)):
+        for a, ends in enumerate(body.contour.domain):
+            middle[offset + a] = 0.5 * sum(ends) if np.isfinite(ends).all() else 0.0
+    return middle

@@ -52,12 +52,14 @@ from ..layout import (
     CONDITION,
     DETERMINANT_SIGN,
     EVALUATOR,
+    FREE,
     K1,
     K2,
     KIND,
     LAST_NORMAL_X,
     LENGTH,
     LOCATION_FAILED,
+    MODE,
     OK,
     PATTERN,
     POOL_ADDRESS,
@@ -172,7 +174,8 @@ def locate(system, c):
         shape_in_world(system, c, 1)
         measure(system, c)
         if converged:
-            return OK if _is_solved(system, c) else LOCATION_FAILED
+            # what is closed is where it touches
+            return OK if integers[MODE] != FREE or _is_solved(system, c) else LOCATION_FAILED
         location_jacobian(system, c)
         location_residual(system, c)
         determinant = solve_location(integers[K1], integers[K2], system.location_system)

@@ -17,9 +17,11 @@ from ..layout import (
     CHART,
     CLOSED_FORM,
     CONDITION,
+    FREE,
     K1,
     K2,
     LOCATION_FAILED,
+    MODE,
     OK,
     PATTERN,
     SIDE,
@@ -40,11 +42,15 @@ def find_stationary(address, starts, branches, charts, integers, reals):
     anywhere. integers (n, 5), reals (n, 11): of what is found, with a status of `layout`.
     """
     system = system_at(address)
+    mode = system.contact_int[0, MODE]
+    # as if it were open, so that it is not found at a pole
+    system.contact_int[0, MODE] = FREE
     for i in range(starts.shape[0]):
         system.contact_int[0, BRANCH] = branches[i]
         integers[i, STATUS] = _find(system, starts[i], charts)
         if integers[i, STATUS] == OK:
             _describe(system, branches[i], integers[i], reals[i])
+    system.contact_int[0, MODE] = mode
 
 
 @kernel

@@ -48,8 +48,6 @@ _OVERLAP = 1e-9
 _SEEN = 0.1
 # By how much that may grow from one search to the next.
 _GROWTH = 2.0
-# How often cells of both contours are divided that may meet, to 0.1 mm of bodies of 0.1 m, and into how many parts.
-_HALVINGS, _MOST_PARTS = 7, 50_000
 # Radii of curvature beyond this, in m, count as this.
 _LARGEST = 100.0
 # Part of the bends that may be sharper than the radius of curvature that counts: those of poles are the parameters'.
@@ -315,33 +313,10 @@ class NearestSearch:
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
         elif self.whole.rounding == 0.0:
-            depth = math.inf if touches and not self._are_apart(t) else 0.0
+            depth = math.inf if touches else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
-
-    def _are_apart(self, t: float) -> bool:
-        """Whether cells of both contours, which are divided where they may meet, show that these meet nowhere."""
-        n, (rotation, centre) = len(self._survey.points), self.pose()
-        contours = self.whole.contour, self.divided
-        _, half = _cells(self.whole.core.domain, self.whole.counts)
-        middles = [self.whole.parameters, self._cells.middles[:n].copy()]
-        halves = [np.tile(half, (len(middles[0]), 1)), self._cells.halves[:n].copy()]
-        for _ in range(_HALVINGS):
-            values = [evaluated(contour, u, t) for contour, u in zip(contours, middles)]
-            reaches = [_reaches(rows, half) for rows, half in zip(values, halves)]
-            points = (values[0][:, 0] - self.whole.centre) @ rotation.T + centre, values[1][:, 0]
-            for i in range(2):
-                away = scipy.spatial.cKDTree(points[1 - i]).query(points[i])[0]
-                near = away <= reaches[i] + reaches[1 - i].max()
-                if not near.any():
-                    return True
-                parts = grid(contours[i].dimension * [np.array([-0.5, 0.5])])
-                middles[i] = (middles[i][near, None] + halves[i][near, None] * parts).reshape(-1, 2)
-                halves[i] = np.repeat(0.5 * halves[i][near], len(parts), axis=0)
-            if max(map(len, middles)) > _MOST_PARTS:
-                break
-        return False
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""
@@ -430,7 +405,5 @@ def _cells(box: list[tuple[float, float]] | tuple[tuple[float, float], ...], cou
 
 
 def _reaches(values: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Radii of cells around samples (n, 10, 3), of which half is half the size, (2,) or (n, 2)."""
-    return LONGER * (
-        half.T[0] * np.linalg.norm(values[:, 1], axis=1) + half.T[1] * np.linalg.norm(values[:, 2], axis=1)
-    )
+    """Radii of cells around samples (n, 10, 3)."""
+    return LONGER * (half[0] * np.linalg.norm(values[:, 1], axis=1) + half[1] * np.linalg.norm(values[:, 2], axis=1))

@@ -98,7 +98,7 @@ def test_a_box_passes_by_the_ends_of_tables_in_steps(seed, down):
     """As above, by time stepping: 0.3 to 2.3 m off, with status 0."""
     scene, state, expected, turned = over_tables(seed, down)
     run = pc.simulate(scene, state, 1.0, method="Moreau", dt=1e-3)
-    assert run.status == 0, run.message
+    assert run.status == 0 and "behind" not in run.message, run.message
     # a step of sliding with another load than that of the motion, at each end
     assert abs(along(run, turned) - expected) <= 100.0 * down + 1e-6
 

@@ -262,19 +262,19 @@ def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray, opened: Open
     # what is at an end of a face is on the next one
     open_there = (system.modes == FREE) & (system.contact_int[: system.nc, UNILATERAL] != 0) & (ways > -deep)
     behind = np.flatnonzero(open_there & (gaps < deep)).tolist()
-    found = [c for c in behind if not _is_past(system, gaps, c) and opened.is_behind(t, c)]
+    found = [c for c in behind if not _is_past(system, gaps, deep, c) and opened.is_behind(t, c)]
     named = ", ".join(f"{system.contacts[c].name!r} (gap {gaps[c]:.3g} m)" for c in found)
     return f"; bodies end inside or behind each other at {named}: they touch only after being apart" if found else ""
 
 
-def _is_past(system: System, gaps: np.ndarray, c: int) -> bool:
-    """Whether what is behind a face of a body is beyond that body: in front of another one of its faces, which is the
-    nearer one and looks the other way."""
+def _is_past(system: System, gaps: np.ndarray, deep: np.ndarray, c: int) -> bool:
+    """Whether what is behind a face of a body is beyond that body: on or in front of another one of its faces, which is
+    the nearer one and looks the other way; deep (nc,): gaps in m below which it is behind one."""
     contact, normals = system.contacts[c], system.basis[: system.nc, 2]
     return any(
         other.body1 is contact.body1
         and other.body2.carrier == contact.body2.carrier
-        and 0.0 <= gaps[i] < -gaps[c]
+        and deep[i] <= gaps[i] < -gaps[c]
         and normals[i] @ normals[c] < 0.0
         for i, other in enumerate(system.contacts)
     )

@@ -38,11 +38,11 @@ class Record:
     def __init__(self, system: RunSystem, start: State, with_torques: bool, steps_by: str | None = None) -> None:
         self.system, self.with_torques, self.steps_by = system, with_torques, steps_by
         # works are counted from there on, whatever the outputs
-        counts = system.sizes["nwork"] > 0
+        counts = system.sizes.nwork > 0
         self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
         nc = system.nc
-        self._row = _row_of(system.nq, system.nv, nc, int(system.sizes["nwork"]), nc if system.nr else 0)
-        system.counters["row_width"] = width = self._row.itemsize // 8
+        self._row = _row_of(system.nq, system.nv, nc, system.sizes.nwork, nc if system.nr else 0)
+        system.counters.row_width = width = self._row.itemsize // 8
         if width not in system.row_blocks:
             reals = np.empty((BLOCK, width))
             whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
@@ -54,7 +54,7 @@ class Record:
         self._resistances: list[np.ndarray] = []
 
     def __len__(self) -> int:
-        return sum(len(block[0]) for block in self._blocks) + int(self.system.counters["recorded"])
+        return sum(len(block[0]) for block in self._blocks) + self.system.counters.recorded
 
     def add(self, t: float, resistances: np.ndarray | None = None) -> None:
         """The state in the system at t; (nc, 3) torques that resist spinning and rolling, where there are any."""
@@ -65,10 +65,10 @@ class Record:
 
     def flush(self, always: bool = False) -> None:
         """Put a full block of rows aside; always: also one that is not full."""
-        count = int(self.system.counters["recorded"])
+        count = self.system.counters.recorded
         if count == BLOCK or (always and count):
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
-            self.system.counters["recorded"] = 0
+            self.system.counters.recorded = 0
 
     def rows(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
         """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows of the scene."""
@@ -184,7 +184,7 @@ def _with_output_modes(
         if modes.resolve(float(t[i])):
             recorded.discrete[i] = read_discrete(system)
             recorded.directions[i] = present_directions(system)
-        if system.scalars["has_reference"]:
+        if system.scalars.has_reference:
             recorded.references[i] = system.reference[: system.nc].copy()
         system.contact_int[:], system.contact_real[:] = kept
     if cached is not None:

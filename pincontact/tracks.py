@@ -248,7 +248,7 @@ def _evaluate_outputs(
     opened = OpenContacts(system)
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
-        system.scalars["has_reference"] = float(i in recorded.references)
+        system.scalars.has_reference = float(i in recorded.references)
         system.reference_start[:nc], system.reference_slope[:] = recorded.references.get(i, 0.0), 0.0
         known = system.evaluate(time := float(t[i])) <= EVENT
         if known and FREE in system.modes and opened.follow(time):

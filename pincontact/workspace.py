@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from functools import cache
 from itertools import compress, takewhile
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -212,11 +213,37 @@ _NOTHING = np.zeros(0)
 _UNSET = -(1 << 40)
 
 
+class Numbers(ctypes.Structure):
+    """A single record, whose numbers are attributes, as they are to kernels. One of NumPy's takes as long to read a
+    number as it takes to call a kernel."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __getitem__(self, name: str) -> float | int:
+        number: float | int = getattr(self, name)
+        return number
+
+    def __setitem__(self, name: str, number: float | int) -> None:
+        setattr(self, name, number)
+
+
+@cache
+def _numbers(kind: np.dtype[Any]) -> type[Numbers]:
+    """The class of such records."""
+    words = {REALS: ctypes.c_double, INTEGERS: ctypes.c_int64}
+    fields = [(name, words[part]) for name, (part, *_) in (kind.fields or {}).items()]
+    return type("Numbers", (Numbers,), {"__slots__": (), "_fields_": fields})
+
+
 def _by_name(array: np.ndarray) -> Any:
     """The array, or its single record, with fields that uncompiled kernels read as attributes."""
-    if array.dtype.names and numba.config.DISABLE_JIT:
-        array = array.view(np.recarray)
-    return array[()] if array.ndim == 0 else array
+    if array.ndim == 0:
+        return _numbers(array.dtype).from_buffer(array)
+    return array.view(np.recarray) if array.dtype.names and numba.config.DISABLE_JIT else array
 
 
 class Workspace:

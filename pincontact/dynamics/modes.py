@@ -102,7 +102,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
-        if status is None or not loaded or system.scalars["has_reference"] != 0.0:
+        if status is None or not loaded or system.scalars.has_reference != 0.0:
             self._take_reference(None)
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
@@ -115,7 +115,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             status = evaluate(t)
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
-        may_hold = beyond is None and system.counters["lost_positivity"] == 0 and not in_vain
+        may_hold = beyond is None and system.counters.lost_positivity == 0 and not in_vain
         if may_hold and self._lie_in_cones(status, t, evaluate):
             return Decision(status, passing)
         if may_hold:

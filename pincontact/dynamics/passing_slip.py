@@ -66,7 +66,7 @@ class PassingSlip:
     def _unheld(self, undecided: list[int]) -> int | None:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
         system = self.system
-        count = int(system.counters["row_count"])
+        count = system.counters.row_count
         # resistances to what drives alone turn, too: no joint holds that
         first = system.nc + system.ng
         contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
@@ -76,7 +76,7 @@ class PassingSlip:
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
-        if count != system.counters["row_rank"]:
+        if count != system.counters.row_rank:
             motion = system.acceleration, system.free_acceleration, system.v
             for c in contacts:
                 tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
@@ -97,7 +97,7 @@ class PassingSlip:
         about the one on the other; and at its dead centre a joint comes to rest because of the place, and others go on.
         Which of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
         system = self.system
-        if system.counters["row_count"] == system.counters["row_rank"]:
+        if system.counters.row_count == system.counters.row_rank:
             return False
         joints = [system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0]
         unilateral = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
@@ -117,7 +117,7 @@ class PassingSlip:
         """The constrained rows of the last evaluation that move something: items, rows of their bases, and unit vectors
         and lengths of the whitened rows."""
         system = self.system
-        count = int(system.counters["row_count"])
+        count = system.counters.row_count
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
         lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
         moving = (lengths > 0.0) & np.isfinite(lengths)

@@ -63,8 +63,8 @@ _MOVES = 1e-6
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
     some slide while others stick, joints are held, or torques resist turning."""
-    count, modes = int(system.counters["row_count"]), system.contact_int[:, MODE].tolist()
-    if count == system.counters["row_rank"] or SLIPPING not in modes:
+    count, modes = system.counters.row_count, system.contact_int[:, MODE].tolist()
+    if count == system.counters.row_rank or SLIPPING not in modes:
         return False
     mu = system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()
@@ -95,8 +95,8 @@ class RedundantForces:
         accelerations stay what they are, unless loads of what slides are chosen.
         """
         system = self.system
-        count = int(system.counters["row_count"])
-        if count == system.counters["row_rank"]:
+        count = system.counters.row_count
+        if count == system.counters.row_rank:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
@@ -209,12 +209,12 @@ class RedundantForces:
         system.reference_start.reshape(-1)[places] = choice.forces
         # what forces change by along the span, the choice changes by, and by its tangent
         slopes[0, :, :rank][places], slopes[1, :, :rank][places] = choice.span, choice.span + choice.slope
-        system.scalars["has_reference"] = 1.0
+        system.scalars.has_reference = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
         """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""
         system = self.system
-        system.scalars["has_reference"] = 0.0 if reference is None else 1.0
+        system.scalars.has_reference = 0.0 if reference is None else 1.0
         if reference is not None:
             system.reference[:] = system.reference_start[:] = reference
             system.reference_slope[:] = 0.0
@@ -223,11 +223,11 @@ class RedundantForces:
         """The choice that evaluations follow, see `take_back`."""
         system = self.system
         arrays = (system.reference, system.reference_start, system.reference_slope)
-        return float(system.scalars["has_reference"]), [array.copy() for array in arrays]
+        return system.scalars.has_reference, [array.copy() for array in arrays]
 
     def take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
         system = self.system
-        system.scalars["has_reference"] = reference[0]
+        system.scalars.has_reference = reference[0]
         for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):
             array[:] = values
 

@@ -137,15 +137,12 @@ class System(Workspace):
         # whether velocities differ between the axes of joints and of their parents
         self.turns = any(block[0] in TURNING for block in blocks)
         items, sides = max(self.items, 1), 2 * max(nc, 1)
-        # single records as arrays, which can be written to as a whole
-        sizes, scalars = self.zeros("sizes"), self.zeros("scalars")
-        sizes[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
+        # a record as an array, which can be written to as a whole
+        self.zeros("sizes")[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
         self.allocate(
             nq=nq, nv=nv, some_nv=max(nv, 1), ny=ny, joints=model.njoints, blocks=len(blocks), limits=max(self.ng, 1),
             items=items, sides=sides, item_sides=2 * items, rows=3 * items, bordered=3 * items + 1,
         )  # fmt: skip
-        # read at every call of a user's function: a field of a record takes as long as the call
-        self._time, self._bad_torque = scalars["time"], scalars["bad_torque"]
         self.q[:] = pin.neutral(model)
         self.pinocchio = PinocchioCalls(model, self.data, self.q, self.v)
         self.locks = joint_locks(model)
@@ -158,8 +155,8 @@ class System(Workspace):
         self._map_joint_limits(limits)
         self._map_resistances()
         self._map_calls()
-        self.counters["paired"] = bool((self.contact_int[: self.nc, NEXT] != np.arange(self.nc)).any())
-        self.counters["charted"] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
+        self.counters.paired = bool((self.contact_int[: self.nc, NEXT] != np.arange(self.nc)).any())
+        self.counters.charted = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
         data, model = self.data, self.model
@@ -293,7 +290,7 @@ class System(Workspace):
         asked, given = map(id, self._asked) if self._asked else (0, 0)
         # whether any of the user's functions is called
         self.asks = asked != 0
-        self.callback["asked"], self.callback["asked_with"] = asked, given
+        self.callback.asked, self.callback.asked_with = asked, given
 
     def _map_calls(self) -> None:
         callback = self.callback
@@ -353,11 +350,11 @@ class System(Workspace):
     def callback_of(self, ask: Callable[[float], None]) -> Callable[[], bool]:
         """ask(t) at the kernels' time, as they call it. What it raises must not pass through compiled code: it gives
         False, and is raised by `check_callbacks`."""
-        time = self._time
+        scalars = self.scalars
 
         def function() -> bool:
             try:
-                ask(time.item())
+                ask(scalars.time)
             except BaseException as error:
                 if self._callback_error is None:
                     self._callback_error = error
@@ -372,8 +369,8 @@ class System(Workspace):
         error, self._callback_error = self._callback_error, None
         if error is not None:
             raise error
-        if self._bad_torque.item() != 0.0:
-            raise _bad_torque(self.scalars["bad_torque"], self.scalars["bad_time"])
+        if self.scalars.bad_torque != 0.0:
+            raise _bad_torque(self.scalars.bad_torque, self.scalars.bad_time)
 
     def check_torques(self, t: float) -> None:
         """The same of torques at t that no kernel has looked at."""
@@ -401,7 +398,7 @@ class System(Workspace):
         if self._culprit and isinstance(error, Exception):
             return f"{self._culprit} raised {type(error).__name__}{text}"
         # an interrupt, say, wherever it came
-        return f"t = {self.scalars['time']:.9g} s: ended by {type(error).__name__}{text}"
+        return f"t = {self.scalars.time:.9g} s: ended by {type(error).__name__}{text}"
 
     def checked(self, result: int) -> int:
         """What an entry kernel that evaluates has returned; raises what `check_callbacks` does."""
@@ -431,7 +428,7 @@ class System(Workspace):
     @property
     def charted(self) -> bool:
         """Whether any contour has charts to move between."""
-        return bool(self.counters["charted"])
+        return bool(self.counters.charted)
 
     def alone(self, c: int) -> System:
         """A system of contact c only."""

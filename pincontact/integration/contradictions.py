@@ -72,7 +72,7 @@ def contradiction(system: System, t: float) -> str:
     """Which contacts contradict each other after the last projection of `stage_state`, and by how much; "" where none
     do. Leaves that state loaded, with its kinematics."""
     fastest = max(float(np.abs(system.stage_state[system.nq : system.nq + system.nv]).max(initial=0.0)), 1.0)
-    if not system.scalars["velocity_left"] > CONTRADICTING * fastest:
+    if not system.scalars.velocity_left > CONTRADICTING * fastest:
         # of round-off nothing is said
         return ""
     load_state(system.address)
@@ -85,10 +85,10 @@ def contradiction(system: System, t: float) -> str:
             held += [2, 1] if ints[PATTERN] == ON_CURVE else [2]
         c = system.owner(i)
         left[c] = max(left[c], np.abs(along[held]).max(initial=0.0))
-    if not left.max(initial=0.0) > _NAMED * system.scalars["velocity_left"]:
+    if not left.max(initial=0.0) > _NAMED * system.scalars.velocity_left:
         # joints
         return (
-            f"velocity constraints cannot be met together: {system.scalars['velocity_left']:.3g} (m/s or rad/s) is left"
+            f"velocity constraints cannot be met together: {system.scalars.velocity_left:.3g} (m/s or rad/s) is left"
         )
     names = [contact.name for contact, off in zip(system.contacts, left) if off > _NAMED * left.max()]
     named = ", ".join(map(repr, names))

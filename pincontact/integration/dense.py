@@ -66,7 +66,7 @@ class Interpolant:
 
     def __init__(self, system: System) -> None:
         self._start, self._dense = system.state.copy(), system.dense.copy()
-        self._nested = int(system.counters["dense_nested"])
+        self._nested = system.counters.dense_nested
 
     def __call__(self, theta: float) -> np.ndarray:
         out = np.empty_like(self._start)

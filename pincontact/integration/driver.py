@@ -112,12 +112,12 @@ class Driver:
     @property
     def steps(self) -> int:
         """Accepted steps so far."""
-        return int(self.system.counters["step_count"])
+        return self.system.counters.step_count
 
     @property
     def rejected(self) -> int:
         """Rejected steps so far."""
-        return int(self.system.counters["rejected_count"])
+        return self.system.counters.rejected_count
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Integrate from t to t_end (s); returns a code of `results` and a message. Raises what users' functions do."""
@@ -155,7 +155,7 @@ class Driver:
                 t = self._pass_jump(max(t, jump))
                 continue
             if self.transitions.onset.pending is not None:
-                t = self._go_on(t, float(self.system.scalars["next_step"]))
+                t = self._go_on(t, self.system.scalars.next_step)
                 continue
             t, why = self._step(t, why)
             t = self._respond(t, t_end, why)
@@ -190,28 +190,28 @@ class Driver:
     def _step(self, t: float, why: int) -> tuple[float, int]:
         """Let compiled steps go on as far as they can; the new time, and why they come back. why: the last time."""
         scalars = self.system.scalars
-        scalars["now"] = t
+        scalars.now = t
         self.outputs.flush()
         self._keep_good(t)
         counters, task = self.system.counters, self._foresee(t, self._task(), why == MAY_TOUCH)
-        rejected = int(counters["rejected_count"])
+        rejected = counters.rejected_count
         why = self.system.run(task)
-        if why == STEP_FAILED or (why == MAY_TOUCH and counters["rejected_count"] > rejected):
+        if why == STEP_FAILED or (why == MAY_TOUCH and counters.rejected_count > rejected):
             self._thrown = True
-        t = float(scalars["now"])
+        t = scalars.now
         self._keep_good(t)
         return t, why
 
     def _respond(self, t: float, t_end: float, why: int) -> float:
         """Do what compiled steps leave to be done: events, transitions, outputs; the new time."""
-        scalars, usual_step = self.system.scalars, float(self.system.scalars["next_step"])
+        scalars, usual_step = self.system.scalars, self.system.scalars.next_step
         if why == STEPPED:
-            if self.system.counters["lost_positivity"]:
+            if self.system.counters.lost_positivity:
                 raise self.transitions.reports.failure(t, NO_FORCE)
             self._watch(t, True, False)
             self.outputs.write_asked(t)
         elif why in (TRIED, SLIP_ENDS):
-            step, t_new = float(scalars["step"]), float(scalars["next_time"])
+            step, t_new = scalars.step, scalars.next_time
             t, switched = self._complete(t, step, t_new) if why == TRIED else self.slips.end_slip(t, self._allow_start)
             if switched:
                 t = self._go_on(t, usual_step)
@@ -226,7 +226,7 @@ class Driver:
         elif why == AT_FLOOR or (why == STEP_FAILED and self.options.fixed_step):
             t = self._end_jams(t)
         elif why == PROJECTION_FAILED:
-            t_new, step = float(scalars["next_time"]), float(scalars["step"])
+            t_new, step = scalars.next_time, scalars.step
             t = self._go_on(self._give_way(t_new, self.system.new_state, step), usual_step)
         return t
 
@@ -238,7 +238,7 @@ class Driver:
             (item, kind), onset.pending = onset.pending, None
             self.rk.load(self.system.state)
             self._project(t, False)
-            self._allow_start(t, max(step, float(self.system.scalars["step"])))
+            self._allow_start(t, max(step, self.system.scalars.step))
             t = self.transitions.switch(t, item, kind, False)
             self._after(t)
         self._restart(step)
@@ -253,7 +253,7 @@ class Driver:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
         onset, left = self.transitions.onset, self._end - t
         # in less time than that no slip shows, however short slow slip beside makes steps
-        stiff = float(self.system.scalars["turning_rate"]) * step > ACCURATE
+        stiff = self.system.scalars.turning_rate * step > ACCURATE
         longest = max(0.5 * step, self.transitions.changes.ahead if stiff else 0.0)
         onset.longest, onset.left = min(longest, 0.5 * left, self._max_step), max(left, 0.0)
 
@@ -272,13 +272,13 @@ class Driver:
     def _set_limits(self, t: float) -> None:
         """What the compiled steps are controlled by."""
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
-        scalars["end"], scalars["max_step"] = self._end, self._max_step
-        scalars["fixed_step"] = options.fixed_step or 0.0
+        scalars.end, scalars.max_step = self._end, self._max_step
+        scalars.fixed_step = options.fixed_step or 0.0
         given = options.fixed_step or options.first_step
-        scalars["next_step"], self._thrown = given or self.rk.first_step(t, self._end - t), not given
-        scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
-        counters["trial_limit"] = options.max_steps
-        counters["stalled"], counters["stiff_steps"], counters["patience"] = 0, 0, PATIENCE
+        scalars.next_step, self._thrown = given or self.rk.first_step(t, self._end - t), not given
+        scalars.floor, scalars.slowest = _FLOOR * max(abs(t), abs(self._end)), math.inf
+        counters.trial_limit = options.max_steps
+        counters.stalled, counters.stiff_steps, counters.patience = 0, 0, PATIENCE
         self.open_loads += leaves_loads_open(self.system)
 
     def _task(self) -> int:
@@ -295,7 +295,7 @@ class Driver:
         may_touch: whether these have come back because some may touch.
         """
         scalars, opened = self.system.scalars, self.transitions.open
-        scalars["max_step"] = self._max_step
+        scalars.max_step = self._max_step
         if not opened.are_any(t):
             return task
         task = INTEGRATE_ONE_STEP if task == INTEGRATE else task
@@ -304,7 +304,7 @@ class Driver:
             self._thrown = False
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
-        longest = float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t))
+        longest = min(scalars.next_step, scalars.max_step, scalars.end - t)
         opened.watch_ends(t, longest)
         self._follow_relocated(t)
         if not may_touch and task == INTEGRATE_ONE_STEP and self.transitions.stay_apart(t):
@@ -312,7 +312,7 @@ class Driver:
             return INTEGRATE_APART
         longest, near = opened.begin_step(t, longest)
         self._follow_relocated(t)
-        scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
+        scalars.max_step = max(min(self._max_step, longest), _RESTART * scalars.floor)
         return INTEGRATE_ONE_TRIAL if near else task
 
     def _follow_relocated(self, t: float) -> None:
@@ -328,22 +328,22 @@ class Driver:
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""
         scalars, counters = self.system.scalars, self.system.counters
-        if counters["failure"] != OK:
+        if counters.failure != OK:
             # what has cut steps short are the modes that were left
-            h, counters["failure"] = self.transitions.onset.seed, OK
+            h, counters.failure = self.transitions.onset.seed, OK
         self._age, self.transitions.onset.age = self.transitions.onset.age, 0.0
         if self._age > 0.0:
             # slip that has just begun changes in times like its age
             h = min(h, max(self._age, _RESTART_SEEDS * self.transitions.onset.seed))
-        if scalars["turning_rate"] > 0.0:
+        if scalars.turning_rate > 0.0:
             # longer explicit steps are not stable
-            h = min(h, STABLE / float(scalars["turning_rate"]))
-        scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
-        scalars["slowest"], scalars["last_error"] = math.inf, 0.0
-        counters["stalled"], counters["patience"] = 0, PATIENCE
-        if scalars["turning_rate"] * self._age > PATIENCE * STABLE:
+            h = min(h, STABLE / scalars.turning_rate)
+        scalars.next_step = self.options.fixed_step or max(h, _RESTART * scalars.floor)
+        scalars.slowest, scalars.last_error = math.inf, 0.0
+        counters.stalled, counters.patience = 0, PATIENCE
+        if scalars.turning_rate * self._age > PATIENCE * STABLE:
             # friction turns slip that has just begun much faster than it grows
-            counters["stiff_steps"] = counters["patience"]
+            counters.stiff_steps = counters.patience
         self.open_loads += leaves_loads_open(self.system)
 
     # ---------------------------------------------------------------- one step
@@ -405,13 +405,13 @@ class Driver:
             if not held_up(self.system):
                 raise no_dense_output(t)
             return self._end_jams(t), True
-        scalars["next_step"] = FAILED_FACTOR * step
+        scalars.next_step = FAILED_FACTOR * step
         return t, False
 
     def _unmake(self) -> None:
         """Count the trial step as rejected."""
-        self.system.counters["step_count"] -= 1
-        self.system.counters["rejected_count"] += 1
+        self.system.counters.step_count -= 1
+        self.system.counters.rejected_count += 1
         self._thrown = True
 
     def _give_way(self, t: float, state: np.ndarray, step: float) -> float:
@@ -426,7 +426,7 @@ class Driver:
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that may be stopped, if there are any; the new time."""
-        failure = int(self.system.counters["failure"])
+        failure = self.system.counters.failure
         self.rk.load(self.system.state)
         self.transitions.changes.evaluate_rows(t)
         after = self.transitions.end_jams(t)
@@ -527,7 +527,7 @@ class Driver:
         else:
             raise no_dense_output(t)
         self.outputs.keep(t, t + taken, size)
-        self.system.new_state[:], self.system.scalars["error_norm"] = new_state, error
+        self.system.new_state[:], self.system.scalars.error_norm = new_state, error
 
     def _write_before(self, time: float) -> None:
         """Write the outputs of the interpolated step up to the event at `time`."""
@@ -538,7 +538,7 @@ class Driver:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
         counters = self.system.counters
         asked = self.users or self.options.fixed_step
-        return bool(not asked and counters["stiff_steps"] >= counters["patience"])
+        return bool(not asked and counters.stiff_steps >= counters.patience)
 
     def _slow_slip(self, t: float) -> float:
         """Go on with prescribed directions of slip; the new time."""

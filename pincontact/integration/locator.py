@@ -92,12 +92,12 @@ class EventLocator:
             # later scans of the step go on with the same
             self._set_slack()
         system.scan_shares[:SCAN_ROOM] = begin + (1.0 - begin) * _PLACES
-        system.counters["scan_count"] = met = 0
+        system.counters.scan_count = met = 0
         # gaps that end no mode, and the samples before
         denied: set[tuple[float, int, int]] = set()
         while not met & ENDS:
             met = met & MINIMUM | system.run(SCAN_ON, t, step)
-            n = int(system.counters["scan_count"])
+            n = system.counters.scan_count
             if not met & (CROSSES | MINIMUM) or n < 2:
                 continue
             places, values = system.scan_shares[:n].tolist(), system.scan_event_functions[:n, : system.items]
@@ -209,7 +209,7 @@ class EventLocator:
         if not self._is_way(c, kind) or c >= self.system.nc:
             return True
         system = self.system
-        system.counters["sought_item"], system.counters["sought_kind"] = c, kind
+        system.counters.sought_item, system.counters.sought_kind = c, kind
         system.run(FIND_ZERO, t, step)
         known[c, kind] = system.scan_shares.item(LOOK_ROW)
         gap, domain = system.gaps.item(c, 0), system.contact_real.item(c, DOMAIN)
@@ -316,7 +316,7 @@ class EventLocator:
             return self.rk.try_step(t, h) == OK
         system = self.system
         exists, _ = system.look(t, step, h / step)
-        system.new_state[:], system.scalars["step"] = system.stage_state, h
+        system.new_state[:], system.scalars.step = system.stage_state, h
         return exists
 
     def _move_on(self, t: float, change: float) -> bool:
@@ -325,7 +325,7 @@ class EventLocator:
         if change == 0.0:
             return False
         system = self.system
-        system.new_state += change * system.slopes[system.sizes["nstages"]]
+        system.new_state += change * system.slopes[system.sizes.nstages]
         self.rk.load(system.new_state)
         return self.rk.evaluate(t) <= EVENT
 

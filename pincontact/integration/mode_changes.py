@@ -264,7 +264,7 @@ class ModeChanges:
     def _is_redundant(self) -> bool:
         """Whether the rows of the last evaluation depend on each other."""
         counters = self.system.counters
-        return bool(counters["row_count"] > counters["row_rank"])
+        return bool(counters.row_count > counters.row_rank)
 
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
@@ -417,14 +417,14 @@ class ModeChanges:
         # half an `_AHEAD` each from both
         h = 2.0 * _AHEAD / (speed + math.sqrt(speed * speed + 2.0 * rate * _AHEAD))
         integers, limits, numbers = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
-        forces, rank = modes.reference(), int(system.counters["row_rank"])
+        forces, rank = modes.reference(), system.counters.row_rank
         v, change = system.v.copy(), h * system.acceleration
         moved = pin.integrate(system.model, system.q, h * (v + 0.5 * change))
         system.put_state(system.stage_state, moved, 0.0, system.location[: system.nc])
         rk.load(system.stage_state)
         system.v[:] = v + change
         status, opened, slipping = rk.evaluate(t), [], []
-        if (status <= EVENT or status == NO_FORCE) and int(system.counters["row_rank"]) > rank:
+        if (status <= EVENT or status == NO_FORCE) and system.counters.row_rank > rank:
             decision = modes.let_slide(t, rk.evaluate, h)
             if decision.status <= EVENT:
                 slips = (system.modes == SLIPPING) & (integers[: system.nc, MODE] == STICK)

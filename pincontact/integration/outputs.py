@@ -38,7 +38,7 @@ class Outputs:
 
     def due(self, t: float) -> bool:
         """Whether an output is asked for at t or before."""
-        return bool(self.system.scalars["next_output"] <= t)
+        return bool(self.system.scalars.next_output <= t)
 
     def need_dense(self, t: float) -> bool:
         """Whether a step that ends at t has to be interpolated for them."""
@@ -80,7 +80,7 @@ class Outputs:
     def write_asked(self, t: float, at_their_times: bool = False) -> None:
         """Write the system's state for every output time that has come; see `write_state`."""
         while self.due(t):
-            self.record(float(self.system.scalars["next_output"]) if at_their_times else t)
+            self.record(self.system.scalars.next_output if at_their_times else t)
             self.system.output_done()
 
     def write_until(self, until: float) -> None:

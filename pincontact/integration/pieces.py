@@ -109,7 +109,7 @@ class Pieces:
             getattr(system, name)[...] = values
         for name, value in piece.scalars.items():
             system.scalars[name] = value
-        system.scalars["dense_start"], system.scalars["dense_step"] = piece.start, piece.size
+        system.scalars.dense_start, system.scalars.dense_step = piece.start, piece.size
         system.set_output_times(times)
         write_outputs(system, float(times[-1]), flush)
 
@@ -121,4 +121,4 @@ def write_outputs(system: RunSystem, until: float, flush: Callable[[], None]) ->
         flush()
         status = system.run(WRITE_OUTPUTS, until)
     if status != OK:
-        raise projection_failure(system, float(system.scalars["next_output"]))
+        raise projection_failure(system, system.scalars.next_output)

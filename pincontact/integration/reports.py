@@ -153,7 +153,7 @@ class Reports:
         code, reason = FAILURES[status]
         if status == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
-        elif status == NO_FORCE and self.system.counters["lost_positivity"]:
+        elif status == NO_FORCE and self.system.counters.lost_positivity:
             reason = "friction between several contacts leaves more than one solution (Painleve)"
         if status == MASS_NOT_POSITIVE:
             reason = without_inertia(self.system.model, self.system.data, self.system.q)

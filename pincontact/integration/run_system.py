@@ -72,15 +72,15 @@ class RunSystem(System):
             self.put("output_times", self._few_times[: given.size], self._few_at)
         else:
             self.put("output_times", np.ascontiguousarray(given))
-        counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None
+        counters.output_count, counters.outputs_done, counters.record_steps = given.size, 0, times is None
         self.announce_output()
 
     def announce_output(self) -> None:
         """Tell the compiled steps when the next output is due."""
-        done = self.counters["outputs_done"].item()
-        self.scalars["next_output"] = self.output_times[done] if done < self.output_times.size else math.inf
+        done = self.counters.outputs_done
+        self.scalars.next_output = self.output_times[done] if done < self.output_times.size else math.inf
 
     def output_done(self) -> None:
         """Go on to the next output time."""
-        self.counters["outputs_done"] += 1
+        self.counters.outputs_done += 1
         self.announce_output()

@@ -44,12 +44,12 @@ class RungeKutta:
         system.before_evaluation(torque)
         for table in method.tables:
             system.put(*table)
-        system.sizes["nstages"] = method.stages
-        system.counters["estimate_after"], system.counters["extra_stages"] = method.estimate_after, method.extra
-        system.scalars["error_order"] = method.error_order
-        system.counters["dense_nested"] = method.nested
-        system.scalars["dip"] = _DIP * method.widest**2
-        system.counters["parent_axes"] = system.turns
+        system.sizes.nstages = method.stages
+        system.counters.estimate_after, system.counters.extra_stages = method.estimate_after, method.extra
+        system.scalars.error_order = method.error_order
+        system.counters.dense_nested = method.nested
+        system.scalars.dip = _DIP * method.widest**2
+        system.counters.parent_axes = system.turns
         system.scale[0], system.scale[1] = rtol, atol
         set_accuracy(system, rtol, atol)
         system.absolute.fill(atol)
@@ -59,17 +59,17 @@ class RungeKutta:
     @property
     def evaluations(self) -> int:
         """How many evaluations there have been."""
-        return int(self.system.counters["evaluation_count"])
+        return self.system.counters.evaluation_count
 
     @property
     def error(self) -> float:
         """Error norm of the last trial step, 1 at the tolerance."""
-        return float(self.system.scalars["error_norm"])
+        return self.system.scalars.error_norm
 
     @property
     def alarm(self) -> bool:
         """Whether an event function was negative in any stage of the last trial step, or may have been between them."""
-        return bool(self.system.counters["alarm"])
+        return bool(self.system.counters.alarm)
 
     def evaluate_start(self, t: float) -> int:
         """Evaluate at system.state and store its slope; the state is what `stage_state` holds afterwards."""
@@ -136,4 +136,4 @@ class RungeKutta:
     def first_step(self, t: float, span: float) -> float:
         """Size of the first step from the state at t, at most span; one evaluation."""
         self.system.run(FIRST_STEP, t, span)
-        return float(self.system.scalars["next_step"])
+        return self.system.scalars.next_step

@@ -232,7 +232,7 @@ class SlipOnset:
         for c, direction in limits.items():
             freeze_slip(system, c, system.basis[c, :2] @ direction)
         span = min(self.longest, self.until_touch())
-        redundant = system.counters["row_rank"] < system.counters["row_count"]
+        redundant = system.counters.row_rank < system.counters.row_count
         # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
         if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
             took = self._follow(t, dict.fromkeys(items, 2), span, self.changes.ahead)
@@ -369,7 +369,7 @@ class SlipOnset:
 
     def _step_beside(self, t: float, tau: float) -> tuple[float, list[int]]:
         """`_trial_step`, and the items whose slip beside friction turns too fast for it, and which are followed."""
-        if not float(self.system.scalars["turning_rate"]) * tau > STIFF:
+        if not self.system.scalars.turning_rate * tau > STIFF:
             return self._trial_step(t, tau), []
         beside = self._prescribe_beside()
         took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0), lambda *_: 1.0).follow(tau, _SHORTEST_START * tau)

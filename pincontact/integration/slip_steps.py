@@ -47,30 +47,30 @@ class SlipSteps:
         has just begun.
         """
         scalars, counters, onset = self.system.scalars, self.system.counters, self.transitions.onset
-        span, rests, tried = 2.0 * _SLOW_STEPS * STABLE / float(scalars["turning_rate"]), 0, True
+        span, rests, tried = 2.0 * _SLOW_STEPS * STABLE / scalars.turning_rate, 0, True
         # slip that has just begun changes in times like its age
         span = max(span, age)
         while tried:
-            shortest = _SLOW_STEPS * STABLE / max(float(scalars["turning_rate"]), 1e-300)
+            shortest = _SLOW_STEPS * STABLE / max(scalars.turning_rate, 1e-300)
             span = min(span, longest, end - t)
             after = onset.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
-                counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
+                counters.patience = min(2 * counters.patience, _LONGEST_PATIENCE)
                 # nor do these get nearer to the end of a slip that is as slow as they are accurate
-                counters["stalled"] = doubled(int(counters["stalled"]))
+                counters.stalled = doubled(counters.stalled)
             else:
-                counters["patience"] = PATIENCE
-                counters["step_count"] += 1
+                counters.patience = PATIENCE
+                counters.step_count += 1
                 # a length that was too much is not asked for again soon
                 rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._accepted(t)
-                limited = t >= end or counters["step_count"] >= counters["trial_limit"]
+                limited = t >= end or counters.step_count >= counters.trial_limit
                 tried = not (limited or slip_is_ending(self.system) or onset.pending)
-        counters["stiff_steps"] = 0
+        counters.stiff_steps = 0
         return t
 
     def end_slip(self, t: float, allow_start: Callable[[float, float], None]) -> tuple[float, bool]:
@@ -84,14 +84,14 @@ class SlipSteps:
         c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
         way = slips[c][0] / -slips[c][1]
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
-        left = min(way, scalars["next_step"], scalars["max_step"], scalars["end"] - t)
-        left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
+        left = min(way, scalars.next_step, scalars.max_step, scalars.end - t)
+        left = min(left, scalars.next_output - t, self.transitions.onset.until_touch())
         if straight and left < way:
             # something else comes first
             system.contact_real[:, STOP_ERROR] = math.inf
             return t, True
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
+        further, contacts = 2.0 ** system.counters.stalled, [c]
         for i, (speed, rate, allowed, _) in slips.items():
             # what grows may be taking over the slip that ends
             if i != c and rate < 0.0 and min(speed, abs(speed + rate * left)) <= further * _TOGETHER * allowed:
@@ -102,13 +102,13 @@ class SlipSteps:
         stopped = system.state + left * system.slopes[0]
         worth = self._worth(t, left, contacts, stopped) / further if further >= 1.0 else 0.0
         if worth > _WORTH:
-            system.counters["stalled"] = -min(math.ceil(math.log2(worth)), _HALVINGS)
+            system.counters.stalled = -min(math.ceil(math.log2(worth)), _HALVINGS)
             return t, False
         self.outputs.keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(stopped)
-        allow_start(t + left, float(scalars["step"]))
+        allow_start(t + left, scalars.step)
         after = self.transitions.come_to_rest(t + left, ended)
         self._accepted(after)
         return after, True

@@ -154,7 +154,7 @@ class SlowSlip:
 
     def _within_error(self) -> float:
         """The part of the span after which the last trial step's error is as small as it has to be."""
-        order = float(self.rk.system.scalars["error_order"])
+        order = self.rk.system.scalars.error_order
         return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
 
     def _grown(self, tolerance: float) -> np.ndarray:

@@ -98,7 +98,7 @@ class Transitions:
         start, energy, given = system.state.tolist(), changes.counted_energy(), system.contact_int.tobytes()
         undecided = self._modes_from_velocities(t)
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
-        stands = status == OK and unchanged and system.counters["lost_positivity"] == 0
+        stands = status == OK and unchanged and system.counters.lost_positivity == 0
         if stands and not held_up(system):
             changes.project(t, True, explained=True)
         else:

@@ -376,8 +376,6 @@ SYSTEM = Layout(
     # least and largest event functions of a step's stages, and one choice among redundant forces
     lowest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     highest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    # (2 (nc + ng + nr) + 1, 2 POLYNOMIAL_SIZE - 1): shares of a step, v_c across directions and along, see `steps`
-    across=(_REALS, "across_rows", 2 * POLYNOMIAL_SIZE - 1),
     reference=(
         REALS,
         "items",

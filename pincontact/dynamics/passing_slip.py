@@ -125,12 +125,13 @@ class PassingSlip:
 
     def _speed(self, v: np.ndarray) -> float:
         """The size of a velocity in the mass metric of the last evaluation, in which half a square is an energy."""
-        return _size(whitened_velocity(self.system, v))
+        whitened = whitened_velocity(self.system, v)
+        return math.sqrt(whitened.dot(whitened))
 
     def _of_units(self) -> float:
         """The size, in the mass metric of the last evaluation, of a velocity of 1 in all coordinates that do not move
         each other."""
-        return math.sqrt(self.system.mass.trace())
+        return math.sqrt(sum(self.system.mass.diagonal().tolist()))
 
     def negligible(self) -> float:
         """What constraints may take from the velocity, in the mass metric of the last evaluation."""
@@ -155,11 +156,6 @@ class PassingSlip:
         """The error that steps may make in a velocity of this size in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
         return rtol * speed + atol * self._of_units()
-
-
-def _size(numbers: np.ndarray) -> float:
-    """The root of the sum of squares; of so few numbers NumPy's norm takes several times as long."""
-    return math.sqrt(np.vdot(numbers, numbers))
 
 
 _MATRIX = REAL[:, ::1]

@@ -63,8 +63,11 @@ _MOVES = 1e-6
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
     some slide while others stick, joints are held, or torques resist turning."""
-    count, modes = system.counters.row_count, system.contact_int[:, MODE].tolist()
-    if count == system.counters.row_rank or SLIPPING not in modes:
+    count = system.counters.row_count
+    if count == system.counters.row_rank:
+        return False
+    modes = system.contact_int[:, MODE].tolist()
+    if SLIPPING not in modes:
         return False
     mu = system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()

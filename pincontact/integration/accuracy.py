@@ -153,7 +153,7 @@ def slip_is_ending(system: System) -> bool:
     """Whether a slip of the accepted state ends in one linear step."""
     numbers = system.contact_real
     stopping = np.isfinite(numbers[:, START_SPEED]) & (numbers[:, START_RATE] < 0.0)
-    allowed = min(2.0 ** system.counters.stalled, 1.0) * numbers[:, START_TOLERANCE]
+    allowed = min(2.0**system.counters.stalled, 1.0) * numbers[:, START_TOLERANCE]
     return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * allowed)).any())
 
 

@@ -87,9 +87,7 @@ def contradiction(system: System, t: float) -> str:
         left[c] = max(left[c], np.abs(along[held]).max(initial=0.0))
     if not left.max(initial=0.0) > _NAMED * system.scalars.velocity_left:
         # joints
-        return (
-            f"velocity constraints cannot be met together: {system.scalars.velocity_left:.3g} (m/s or rad/s) is left"
-        )
+        return f"velocity constraints cannot be met together: {system.scalars.velocity_left:.3g} (m/s or rad/s) is left"
     names = [contact.name for contact, off in zip(system.contacts, left) if off > _NAMED * left.max()]
     named = ", ".join(map(repr, names))
     return (

@@ -269,7 +269,8 @@ class ModeChanges:
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
         one."""
-        if self.rk.evaluate(t) > EVENT or not self.redistribute_within(t, c, kind):
+        # of independent rows there is one choice
+        if not self._is_redundant() or self.rk.evaluate(t) > EVENT or not self.redistribute_within(t, c, kind):
             return False
         self.project(t)
         self.rk.accept()

@@ -24,7 +24,7 @@ class RunSystem(System):
         ny, items = self.ny, max(self.items, 1)
         # blocks of rows to be recorded, by their width, which all runs of this system fill
         self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
-        self.allocate(run_ny=ny, run_items=items, across_rows=2 * items + 1)
+        self.allocate(run_ny=ny, run_items=items)
         # see `accuracy.set_accuracy`
         self.gap_accuracy = self.lowest_resolved = self.lowest_rebounds = self.rebound_speeds = np.zeros(self.items)
         self.lasting_rebounds = np.zeros(self.items, dtype=bool)

@@ -49,7 +49,7 @@ from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
 from .slip_at_ends import STIFF
-from .slow_slip import SHORTER, SlowSlip
+from .slow_slip import SHORTER, follow_slips
 from .steps import FAILED_FACTOR, FIND_EARLIEST
 
 # The start of slip is followed over times down to this fraction of the seed's.
@@ -238,7 +238,7 @@ class SlipOnset:
             took = self._follow(t, dict.fromkeys(items, 2), span, self.changes.ahead)
             if took is None:
                 self._lost.update(items)
-            elif self._shows(t + took, items):
+            elif self._shows(items):
                 return took
             self.pending = None
         system.contact_int[:] = modes
@@ -251,15 +251,12 @@ class SlipOnset:
         mu, holds = self.system.contact_real.item(c, MU), self.system.contact_real.item(c, MU_STATIC)
         return bool(mu == holds < math.inf and self.system.contact_int.item(c, TANGENTS) == 2)
 
-    def _shows(self, t: float, items: list[int]) -> bool:
-        """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with, no
+    def _shows(self, items: list[int]) -> bool:
+        """Whether slips that have been followed are there at the end, so that v_c has a direction to go on with, no
         slower than round-off leaves one."""
         system = self.system
-        self.rk.load(system.new_state)
-        if self.rk.evaluate(t) > EVENT:
-            return False
-        slowest = _ROUND_OFF * (1.0 + np.abs(system.v).max())
-        return bool(system.contact_real[items, SLIP_SPEED].min() > slowest)
+        slowest = _ROUND_OFF * (1.0 + max(map(abs, system.v.tolist())))
+        return all(system.contact_real.item(i, SLIP_SPEED) > slowest for i in items)
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
@@ -350,13 +347,13 @@ class SlipOnset:
         raise self.changes.reports.failure(t, NO_FORCE)
 
     def _follow(self, t: float, powers: dict[int, int], span: float, shortest: float) -> float | None:
-        """A step with prescribed directions of slip, and of what slides already; see `SlowSlip`."""
+        """A step with prescribed directions of slip, and of what slides already; see `follow_slips`."""
         system, self.pending, self._foreseen = self.system, None, (math.nan, 0, 0)
         beside = self._prescribe_beside()
-        took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0) | powers, self._until_event).follow(span, shortest)
+        took = follow_slips(self.rk, t, dict.fromkeys(beside, 0) | powers, span, shortest, self._until_event)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
-            took = SlowSlip(self.rk, t, powers, self._until_event).follow(span, shortest)
+            took = follow_slips(self.rk, t, powers, span, shortest, self._until_event)
         return took
 
     def _prescribe_beside(self) -> list[int]:
@@ -372,7 +369,7 @@ class SlipOnset:
         if not self.system.scalars.turning_rate * tau > STIFF:
             return self._trial_step(t, tau), []
         beside = self._prescribe_beside()
-        took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0), lambda *_: 1.0).follow(tau, _SHORTEST_START * tau)
+        took = follow_slips(self.rk, t, dict.fromkeys(beside, 0), tau, _SHORTEST_START * tau, lambda *_: 1.0)
         return self._trial_step(t, tau) if took is None else took, beside
 
     def _turning(self) -> list[int]:

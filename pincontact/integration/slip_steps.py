@@ -91,7 +91,7 @@ class SlipSteps:
             system.contact_real[:, STOP_ERROR] = math.inf
             return t, True
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        further, contacts = 2.0 ** system.counters.stalled, [c]
+        further, contacts = 2.0**system.counters.stalled, [c]
         for i, (speed, rate, allowed, _) in slips.items():
             # what grows may be taking over the slip that ends
             if i != c and rate < 0.0 and min(speed, abs(speed + rate * left)) <= further * _TOGETHER * allowed:

@@ -21,7 +21,7 @@ from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
 from .step_control import BATCH, FAILED_FACTOR, SLIVER, first_step, irregular, next_step
-from .trial_steps import across_slip, interpolation, keep_slope, load_interpolated, start, trial_step
+from .trial_steps import interpolation, keep_slope, load_interpolated, start, trial_step
 
 # What `run_task` does.
 (
@@ -39,7 +39,6 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     INTEGRATE_ONE_TRIAL,
     INTEGRATE_APART,
     PROJECT_PLACES,
-    ACROSS_SLIP,
     FIRST_STEP,
     KEEP_VELOCITY,
     LOOK,
@@ -47,7 +46,7 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     SCAN_ON,
     FIND_ZERO,
     FIND_EARLIEST,
-) = range(22)
+) = range(21)
 
 # What INTEGRATE comes back with.
 (
@@ -274,8 +273,6 @@ def _run(system, task, t, h):
         return write_outputs(system, t, True)
     if task == FINISH_STEP:
         return finish_step(system, t)
-    if task == ACROSS_SLIP:
-        return across_slip(system, t, h)
     if task == FIRST_STEP:
         first_step(system, t, h)
         return OK

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.evaluation import PLACES_OF_ALL
 from ..dynamics.resistance import count_items
-from ..dynamics.sliding import slip_direction
-from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
-from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
+from ..layout import EVENT, EVENTS_PER_CONTACT, NOT_FINITE, OK, SYSTEM
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
@@ -108,35 +105,3 @@ def load_interpolated(system, theta):
     """Hand over the state at the fraction theta of the step that was interpolated last."""
     interpolate(system.dense, system.state, system.counters.dense_nested, theta, system.stage_state)
     hand_over(system, system.stage_state)
-
-
-@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
-def across_slip(system, t, h):
-    """How well prescribed slip directions hold in a step of size h from the state at t, which is tried; a status.
-
-    ACROSS is filled with v_c across the direction at the shares of the step in its first row, and then with v_c along
-    it.
-    """
-    n = count_items(system)
-    status = start(system, t)
-    if status <= EVENT:
-        status = trial_step(system, t, h, False)
-    if status == OK:
-        status = interpolation(system, t, h)
-    if status > EVENT:
-        return status
-    across, direction = system.across, system.vectors[0]
-    for k in range(2 * POLYNOMIAL_SIZE - 1):
-        share = across[0, k]
-        load_interpolated(system, share)
-        status = evaluate(system, t + share * h, PLACES_OF_ALL)
-        if status > EVENT:
-            return status
-        for c in range(n):
-            contact, basis, slip = system.contact_int[c], system.basis[c], system.slip[c]
-            if contact[FROZEN] != 0:
-                slip_direction(contact, system.contact_real[c], slip, basis, t + share * h, direction)
-                first, second = dot(basis[0], slip), dot(basis[1], slip)
-                across[c + 1, k] = direction[0] * second - direction[1] * first
-                across[n + c + 1, k] = direction[0] * first + direction[1] * second
-    return OK

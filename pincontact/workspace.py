@@ -242,7 +242,7 @@ def _numbers(kind: np.dtype[Any]) -> type[Numbers]:
 def _by_name(array: np.ndarray) -> Any:
     """The array, or its single record, with fields that uncompiled kernels read as attributes."""
     if array.ndim == 0:
-        return _numbers(array.dtype).from_buffer(array)
+        return _numbers(array.dtype).from_buffer(array.data)
     return array.view(np.recarray) if array.dtype.names and numba.config.DISABLE_JIT else array
 
 

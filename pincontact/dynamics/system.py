@@ -31,6 +31,7 @@ from ..layout import (
     EVALUATOR,
     FREE,
     FRICTIONLESS,
+    FROZEN,
     HIGH_END,
     HIGH_FORCE,
     JOINT,
@@ -464,6 +465,10 @@ class System(Workspace):
     def closed(self) -> list[int]:
         """Indices of the contacts that are not open."""
         return [c for c, mode in enumerate(self.modes.tolist()) if mode != FREE]
+
+    def frozen(self) -> list[int]:
+        """Items that slip in a given direction, whatever their v_c."""
+        return [i for i, frozen in enumerate(self.contact_int[:, FROZEN].tolist()) if frozen]
 
     def resisting(self) -> list[int]:
         """Items that are resistances of contacts that are not open."""

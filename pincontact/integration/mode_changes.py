@@ -166,8 +166,8 @@ class ModeChanges:
     def _joints_at_rest(self) -> list[int]:
         """Dry joints that come to rest in the last evaluation. Taken for sliding, they would push on with all of their
         friction what has come to rest beside them, and may not hold it."""
-        system, slowest = self.system, rest_speed(self.system)
-        found = []
+        system, found = self.system, []
+        slowest = rest_speed(system) if system.ng else 0.0
         for g, limit in enumerate(system.limits):
             speed, rate = float(system.v[limit.index_v]), float(system.acceleration[limit.index_v])
             if limit.dry and self.joints.is_free(g) and abs(speed) <= slowest and speed * rate < 0.0:
@@ -184,7 +184,7 @@ class ModeChanges:
         integers, joints = system.contact_int, range(system.nc, system.nc + system.ng)
         slid = [mode == (FREE if i in joints else SLIPPING) for i, mode in enumerate(before)]
         moving = [i for i, mode in enumerate(integers[:, MODE].tolist()) if mode == SLIPPING]
-        moving = [i for i in moving if system.contact_real[i, MU] < math.inf]
+        moving = [i for i in moving if system.contact_real.item(i, MU) < math.inf]
         sliding = [i for i in moving if not (integers[i, FROZEN] and slid[i])]
         sliding += [system.nc + g for g, limit in enumerate(system.limits) if limit.dry and self.joints.is_free(g)]
         if not any(slid[i] for i in sliding):
@@ -217,9 +217,9 @@ class ModeChanges:
         if integers[TANGENTS] == 1:
             return float(integers[SLIP_SIGN]) * tangents[0]
         frozen = integers[FROZEN] != 0
-        along = tangents @ (system.contact_real[c, DIRECTION_X : DIRECTION_X + 3] if frozen else system.slip[c])
+        along = tangents.dot(system.contact_real[c, DIRECTION_X : DIRECTION_X + 3] if frozen else system.slip[c])
         speed = math.hypot(*along.tolist())
-        return along @ tangents / speed if speed > 0.0 else np.zeros(3)
+        return along.dot(tangents) / speed if speed > 0.0 else np.zeros(3)
 
     def _goes_back(self, c: int, ended: np.ndarray) -> bool:
         """Whether item c slips on against the direction in which its slip has ended.

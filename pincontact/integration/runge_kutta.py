@@ -122,7 +122,7 @@ class RungeKutta:
 
     def load(self, y: np.ndarray) -> None:
         """Make y the state that the next evaluation sees."""
-        self.system.stage_state[:] = y
+        self.system.stage_state[...] = y
         load_state(self.system.address)
 
     def project(self, t: float, evaluated: bool, error: float = math.inf) -> bool:

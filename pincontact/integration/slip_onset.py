@@ -121,7 +121,7 @@ class SlipOnset:
     def start(self, t: float) -> float:
         """Start slip that has been given a direction: by a tiny step in that direction, so that v_c has one."""
         system = self.system
-        frozen = np.flatnonzero(system.contact_int[:, FROZEN]).tolist()
+        frozen = system.frozen()
         if not frozen or self.left <= 0.0:
             # what starts as the run ends has no time to
             return t
@@ -217,7 +217,7 @@ class SlipOnset:
 
     def _limit(self, c: int) -> np.ndarray:
         """(3,) direction in world axes of a slip against which the friction of item c is."""
-        direction: np.ndarray = opposed_slip(self.system, c, self.system.force[c, :2]) @ self.system.basis[c, :2]
+        direction: np.ndarray = opposed_slip(self.system, c, self.system.force[c, :2]).dot(self.system.basis[c, :2])
         return direction
 
     def _follow_limits(self, t: float, limits: Mapping[int, np.ndarray]) -> float | None:
@@ -230,7 +230,7 @@ class SlipOnset:
             return None
         modes, forces = system.contact_int.copy(), solver.reference()
         for c, direction in limits.items():
-            freeze_slip(system, c, system.basis[c, :2] @ direction)
+            freeze_slip(system, c, system.basis[c, :2].dot(direction))
         span = min(self.longest, self.until_touch())
         redundant = system.counters.row_rank < system.counters.row_count
         # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
@@ -384,7 +384,7 @@ class SlipOnset:
         t += tau
         self.rk.load(state)
         changes, integers = self.changes, self.system.contact_int
-        for c in np.flatnonzero(integers[:, FROZEN]).tolist():
+        for c in self.system.frozen():
             changes.started[c] = changes.slip_direction(c)
             self.age = tau
         integers[:, FROZEN] = 0
@@ -401,9 +401,9 @@ class SlipOnset:
         """The part of the last trial step, which has been interpolated, in which nothing opens, closes or begins to
         slip, within the errors of gaps and forces; 1 where that is all of it."""
         system, n = self.system, self.system.items
-        allowed, lowest = np.full((n, EVENTS_PER_CONTACT), math.inf), system.lowest[:n]
-        happens = not lowest.min(initial=math.inf) >= 0.0
+        happens, lowest = self.rk.alarm, system.lowest[:n]
         if happens:
+            allowed = np.full((n, EVENTS_PER_CONTACT), math.inf)
             touchable = np.ones(n, dtype=bool)
             touchable[: system.nc] = self.open.apart
             allowed[touchable, GAP_EVENT] = (system.gap_accuracy + self.depths)[touchable]

@@ -91,6 +91,7 @@ def follow_slips(
     relative, absolute = system.scale.tolist()
     tolerance = _ACCEPTED * (absolute + relative * max(map(abs, system.v.tolist()), default=0.0))
     tries = _TRIES_OF_SEVERAL if sum(power > 0 for power in powers.values()) > 1 else _HALVINGS
+    part: float
     # whether slips grow from rest, or are that slow that the tolerance leaves them no direction
     slowest = tolerance / _ALIGNED
     grown = [power > 0 or not system.contact_real.item(c, START_SPEED) > slowest for c, power in powers.items()]

@@ -11,9 +11,9 @@ import numpy as np
 from ..arrays import array_entry
 from ..constraints.kinematics import ROW_ROUND_OFF
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL
+from ..jit import BOOLEAN, INTEGER, REAL, SEVERAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS, UNILATERAL
-from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
+from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm, orthonormal_basis, subtract_row
 from .directions import freeze_slip
 from .units import whitened_velocity
 
@@ -99,29 +99,18 @@ class PassingSlip:
         system = self.system
         if system.counters.row_count == system.counters.row_rank:
             return False
-        joints = [system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0]
-        unilateral = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
-        items, row, unit, lengths = self._unit_rows()
-        rows, bias, free = system.rows[items, row], system.bias[items, row], system.free_acceleration
-        wanted, size = (rows @ free + bias) / lengths, (np.abs(rows) @ np.abs(free) + np.abs(bias)) / lengths
-        missed = np.abs(wanted - unit @ np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])
-        may_go = np.zeros((system.items, 3), dtype=bool)
-        may_go[joints] = True
-        if len(unilateral) > 1:
-            # one alone has nothing beside it
-            may_go[unilateral, 2] = True
-        missed = missed[may_go[items, row]]
-        return bool((missed > _UNHELD * size.max(initial=0.0)).any())
-
-    def _unit_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The constrained rows of the last evaluation that move something: items, rows of their bases, and unit vectors
-        and lengths of the whitened rows."""
-        system = self.system
-        count = system.counters.row_count
-        index, whitened = system.row_index[:count], system.whitened_rows[:count]
-        lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
-        moving = (lengths > 0.0) & np.isfinite(lengths)
-        return index[moving, 0], index[moving, 1], whitened[moving] / lengths[moving, None], lengths[moving]
+        joints = {system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0}
+        unilateral = {c for c in system.closed() if system.contact_int[c, UNILATERAL]}
+        # one alone has nothing beside it
+        may_open = unilateral if len(unilateral) > 1 else set()
+        if not (joints or may_open):
+            return False
+        count, nv = system.counters.row_count, system.nv
+        index = system.row_index[:count]
+        may_go = np.array([c in joints or (row == 2 and c in may_open) for c, row in index.tolist()])
+        given = system.rows, system.bias, system.free_acceleration, system.whitened_rows[:count]
+        scratch = np.empty((nv, count)), np.empty((count, count)), np.empty((2, count))
+        return bool(misses_any(*given, index, may_go, *scratch))
 
     def _speed(self, v: np.ndarray) -> float:
         """The size of a velocity in the mass metric of the last evaluation, in which half a square is an energy."""
@@ -200,3 +189,33 @@ def takes_more(rows, index, held, basis, slip, allowed, matrix, vector, order):
             found, most = c, abs(wanted[r])
     least_norm(matrix, wanted, count, nv, x, matrix[count:], order, _SINGULAR)
     return found if found >= 0 and inner(x, x, nv) > allowed * allowed else -1
+
+
+@array_entry(REAL[:, :, ::1], _MATRIX, REAL[::1], _MATRIX, INTEGER[:, ::1], BOOLEAN[::1], *(_MATRIX,) * 3, when=SEVERAL)
+def misses_any(rows, bias, free, whitened, index, may_go, vectors, basis, numbers):
+    """Whether no acceleration gives all constrained rows what they ask for, some of those that may go (count,) less
+    than that by what is no round-off.
+
+    rows (items, 3, nv), bias (items, 3): of the last evaluation, with the accelerations without forces; whitened
+    (count, nv): the constrained ones, of the items and rows of their bases in index (count, 2). vectors (nv, count),
+    basis (count, count), numbers (2, count): scratch.
+    """
+    count, nv, largest = whitened.shape[0], whitened.shape[1], 0.0
+    wanted, missed = numbers[0], numbers[1]
+    for r in range(count):
+        c, row, length = index[r, 0], index[r, 1], math.sqrt(inner(whitened[r], whitened[r], nv))
+        moves = 0.0 < length < math.inf
+        rate, size = bias[c, row], abs(bias[c, row])
+        for k in range(nv):
+            vectors[k, r] = whitened[r, k] / length if moves else 0.0
+            rate += rows[c, row, k] * free[k]
+            size += abs(rows[c, row, k] * free[k])
+        missed[r] = wanted[r] = rate / length if moves else 0.0
+        largest = max(largest, size / length if moves else 0.0)
+    # accelerations give what is in the span of the unit vectors' components
+    for i in range(orthonormal_basis(vectors, _SINGULAR, basis)):
+        subtract_row(missed, basis[i], inner(basis[i], wanted, count))
+    found = False
+    for r in range(count):
+        found = found or (may_go[r] and abs(missed[r]) > _UNHELD * largest)
+    return found

@@ -67,7 +67,7 @@ def leaves_loads_open(system: System) -> bool:
     if count == system.counters.row_rank:
         return False
     modes = system.contact_int[:, MODE].tolist()
-    if SLIPPING not in modes:
+    if SLIPPING not in modes or not (STICK in modes or system.ng or system.nr):
         return False
     mu = system.contact_real[:, MU].tolist()
     closed, resisting = system.closed(), system.resisting()

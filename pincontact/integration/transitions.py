@@ -332,7 +332,7 @@ class Transitions:
         numbers[LIMIT_SLACK] = min(_SLACK_GROWTH * numbers[LIMIT_SLACK], _LARGEST_SLACK) if sticks else FORCE_SLACK
 
     def come_to_rest(self, t: float, ended: dict[int, np.ndarray]) -> float:
-        """The slip of these contacts, which are set to stick, has ended in these directions: each sticks, or slides on."""
+        """The slip of these contacts, which are to stick, has ended in these directions: each sticks, or slides on."""
         for c in ended:
             self.reports.check_chatter(t, c)
         ideal = any(math.isinf(self.system.contact_real.item(c, MU)) for c in ended)

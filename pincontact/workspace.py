@@ -214,18 +214,18 @@ _UNSET = -(1 << 40)
 
 
 class Numbers(ctypes.Structure):
-    """A single record, whose numbers are attributes, as they are to kernels. One of NumPy's takes as long to read a
-    number as it takes to call a kernel."""
+    """A single record, whose numbers are attributes, as they are to kernels; by their names they are NumPy's, as those
+    of NumPy's records, which take as long to read one as it takes to call a kernel."""
 
     __slots__ = ()
+    dtype: np.dtype[Any]
 
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __getitem__(self, name: str) -> float | int:
-        number: float | int = getattr(self, name)
-        return number
+    def __getitem__(self, name: str) -> Any:
+        return self.dtype[name].type(getattr(self, name))
 
     def __setitem__(self, name: str, number: float | int) -> None:
         setattr(self, name, number)
@@ -236,7 +236,7 @@ def _numbers(kind: np.dtype[Any]) -> type[Numbers]:
     """The class of such records."""
     words = {REALS: ctypes.c_double, INTEGERS: ctypes.c_int64}
     fields = [(name, words[part]) for name, (part, *_) in (kind.fields or {}).items()]
-    return type("Numbers", (Numbers,), {"__slots__": (), "_fields_": fields})
+    return type("Numbers", (Numbers,), {"__slots__": (), "_fields_": fields, "dtype": kind})
 
 
 def _by_name(array: np.ndarray) -> Any:

@@ -206,12 +206,9 @@ class RedundantForces:
 
     def _follow(self, index: np.ndarray, choice: Choice) -> None:
         """Take the choice for the reference, and let that move as the choice will. index (count, 2): the rows."""
-        system, rank = self.system, choice.span.shape[1]
-        places, slopes = 3 * index[:, 0] + index[:, 1], system.reference_slope
-        system.reference_start[:] = slopes[:] = 0.0
-        system.reference_start.reshape(-1)[places] = choice.forces
-        # what forces change by along the span, the choice changes by, and by its tangent
-        slopes[0, :, :rank][places], slopes[1, :, :rank][places] = choice.span, choice.span + choice.slope
+        system = self.system
+        slope, span = np.ascontiguousarray(choice.slope.T), np.ascontiguousarray(choice.span.T)
+        put_choice(index, choice.forces, slope, span, system.reference_start, system.reference_slope)
         system.scalars.has_reference = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
@@ -264,6 +261,23 @@ class RedundantForces:
 
 
 _REALS, _INTEGERS = REAL[:, ::1], INTEGER[:, ::1]
+
+
+@array_entry(_INTEGERS, REAL[::1], _REALS, _REALS, _REALS, REAL[:, :, ::1], when=SEVERAL)
+def put_choice(index, forces, slope, span, start, slopes):
+    """The forces of a choice in the rows index (count, 2) become the reference, and let that move as the choice will;
+    slope, span (rank, count)."""
+    for i in range(start.shape[0]):
+        for row in range(3):
+            start[i, row] = 0.0
+            for k in range(slopes.shape[2]):
+                slopes[0, 3 * i + row, k] = slopes[1, 3 * i + row, k] = 0.0
+    for r in range(index.shape[0]):
+        place = 3 * index[r, 0] + index[r, 1]
+        start[index[r, 0], index[r, 1]] = forces[r]
+        # what forces change by along the span, the choice changes by, and by its tangent
+        for k in range(span.shape[0]):
+            slopes[0, place, k], slopes[1, place, k] = span[k, r], span[k, r] + slope[k, r]
 
 
 @array_entry(*(_INTEGERS, _REALS) * 2, _REALS, _INTEGERS, INTEGER, INTEGER, _REALS, REAL[::1], when=SEVERAL)

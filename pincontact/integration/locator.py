@@ -260,17 +260,23 @@ class EventLocator:
         system, h = self.system, crossing.theta * step
         # not over what others do between later samples
         furthest = step * (crossing.until if crossing.until < 1.0 else _FURTHEST)
-        back = max(h - _SLOPE_OVER * step, 0.5 * h)
         c, kind, slack = crossing.c, crossing.kind, system.slack
+        # forces decide modes, and where they do the motion has no jump
+        is_force = kind in FORCE_EVENTS
+        back, before_it = step * system.scan_shares.item(LEFT_ROW), system.scan_event_functions.item(LEFT_ROW, c, kind)
+        slope = (crossing.value - before_it) / (h - back) if back < h else 0.0
         # as small as the step to the crossing has it
         found = crossing.value - slack.item(c, kind)
         self._set_slack()
         found += slack.item(c, kind)
-        exists, values = system.look(t, step, back / step)
-        if not exists or math.isnan(found):
-            self.rk.try_step(t, h)
-            return h, True
-        slope = (found - values.item(c, kind)) / (h - back)
+        if not (as_good and is_force and -math.inf < slope < 0.0):
+            # other zeros than those that were found are gone to, by steps as few as can be
+            back = max(h - _SLOPE_OVER * step, 0.5 * h)
+            exists, values = system.look(t, step, back / step)
+            if not exists or math.isnan(found):
+                self.rk.try_step(t, h)
+                return h, True
+            slope = (found - values.item(c, kind)) / (h - back)
         depth = float(self._depths[c]) if self._is_way(c, kind) else 0.0
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = slack.item(c, kind) - depth
@@ -278,8 +284,6 @@ class EventLocator:
             h = min(max(h - (found - below) / slope, back), furthest)
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
-        # forces decide modes, and where they do the motion has no jump
-        is_force = kind in FORCE_EVENTS
         denied, value = True, 0.0
         rate = fastest(system.state, system.slopes[0], system.absolute, system.scale.item(0))
         # the time in which the state moves by so much of its tolerance

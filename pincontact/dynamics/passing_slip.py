@@ -87,7 +87,7 @@ class PassingSlip:
             held[c] = system.contact_int.item(c, TANGENTS)
         rows, index = system.whitened_rows[:count], system.row_index[:count]
         scratch = np.empty((count + system.nv + 1, system.nv)), np.empty(count + system.nv)
-        order, allowed = np.empty(system.nv, dtype=np.int64), self._negligible(speed)
+        order, allowed = np.empty(system.nv, dtype=np.int64), self.negligible(speed)
         found = takes_more(rows, index, held, system.basis, system.slip, allowed, *scratch, order)
         return found if found >= 0 else None
 
@@ -122,19 +122,16 @@ class PassingSlip:
         each other."""
         return math.sqrt(sum(self.system.mass.diagonal().tolist()))
 
-    def negligible(self) -> float:
-        """What constraints may take from the velocity, in the mass metric of the last evaluation."""
-        return self._negligible(self._speed(self.system.v))
-
-    def _negligible(self, speed: float) -> float:
+    def negligible(self, speed: float | None = None) -> float:
+        """What constraints may take from a velocity of this size, or else from the present one, in the mass metric of
+        the last evaluation."""
+        speed = self._speed(self.system.v) if speed is None else speed
         rtol, atol = self.system.scale.tolist()
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * self._of_units())
 
-    def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
-        """How far the velocity is from what it was, how large that was, and how far it may be at most: in the mass
-        metric of the last evaluation."""
-        speed = self._speed(before)
-        return self._speed(self.system.v - before), speed, self._negligible(speed)
+    def taken_from(self, before: np.ndarray) -> tuple[float, float]:
+        """How far the velocity is from what it was, and how large that was, in the mass metric of the last evaluation."""
+        return self._speed(self.system.v - before), self._speed(before)
 
     def explained(self, speed: float) -> float:
         """How far a velocity of this size may be from what it was for errors of steps to explain it, where slips have

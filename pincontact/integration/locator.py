@@ -265,10 +265,12 @@ class EventLocator:
         is_force = kind in FORCE_EVENTS
         back, before_it = step * system.scan_shares.item(LEFT_ROW), system.scan_event_functions.item(LEFT_ROW, c, kind)
         slope = (crossing.value - before_it) / (h - back) if back < h else 0.0
-        # as small as the step to the crossing has it
-        found = crossing.value - slack.item(c, kind)
-        self._set_slack()
-        found += slack.item(c, kind)
+        found = crossing.value
+        if not is_force:
+            # what it may be below zero is as small as the step to the crossing has it
+            found -= slack.item(c, kind)
+            self._set_slack()
+            found += slack.item(c, kind)
         if not (as_good and is_force and -math.inf < slope < 0.0):
             # other zeros than those that were found are gone to, by steps as few as can be
             back = max(h - _SLOPE_OVER * step, 0.5 * h)

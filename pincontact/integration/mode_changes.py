@@ -360,8 +360,8 @@ class ModeChanges:
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
         if before is None:
             return
-        taken, speed, allowed = self.modes.taken_from(before)
-        if taken > (self.modes.explained(speed) if stepped else allowed):
+        taken, speed = self.modes.taken_from(before)
+        if taken > (self.modes.explained(speed) if stepped else self.modes.negligible(speed)):
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "
@@ -377,7 +377,7 @@ class ModeChanges:
             return
         before, state = self.system.v.copy(), self.system.stage_state.copy()
         closes = self.rk.project(t, True)
-        taken, speed, _ = self.modes.taken_from(before)
+        taken, speed = self.modes.taken_from(before)
         if closes and taken <= self.modes.explained(speed):
             return
         self.rk.load(state)
@@ -394,7 +394,7 @@ class ModeChanges:
         if modes.let_slide(t, self.rk.evaluate, self.ahead).status <= EVENT:
             changed = (system.contact_int[:, MODE] != integers[:, MODE]).any()
             if changed and self.rk.project(t, True):
-                taken, speed, _ = modes.taken_from(before)
+                taken, speed = modes.taken_from(before)
                 if taken <= modes.explained(speed):
                     return True
         system.contact_int[:], system.joint_int[:] = integers, limits

@@ -126,5 +126,5 @@ class SlipSteps:
         before = self.system.v.copy()
         if not self.rk.project(t, False):
             return 0.0
-        taken, speed, _ = modes.taken_from(before)
+        taken, speed = modes.taken_from(before)
         return taken / modes.tolerance(speed)

@@ -130,7 +130,7 @@ class PassingSlip:
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * self._of_units())
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float]:
-        """How far the velocity is from what it was, and how large that was, in the mass metric of the last evaluation."""
+        """How far the velocity is from what it was, and how large that was, in the last evaluation's mass metric."""
         return self._speed(self.system.v - before), self._speed(before)
 
     def explained(self, speed: float) -> float:

@@ -302,7 +302,7 @@ class ModeChanges:
         system = self.system
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
         left = system.event_functions.item(c, kind)
-        if left > 0.0 and left > _JUMP * float(np.abs(system.force).max()):
+        if left > 0.0 and left > _JUMP * max(map(abs, system.force.ravel().tolist())):
             return False
         ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
         return self.modes.redistribute(t, self.rk.evaluate, ended) and not self._is_limited(c, kind)

@@ -89,7 +89,7 @@ class Stop(Exception):
         self.code, self.message, self.blocked = code, message, blocked
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Event:
     """Something that happened at a time, with the state.
 
@@ -122,6 +122,19 @@ class Event:
     v: np.ndarray
     index: int = -1
     joint: str | None = None
+
+    def __init__(
+        self,
+        time: float,
+        contact: str | None,
+        kind: str,
+        q: np.ndarray,
+        v: np.ndarray,
+        index: int = -1,
+        joint: str | None = None,
+    ) -> None:
+        # all at once: that of a frozen dataclass takes several times as long, and runs may have many events
+        vars(self).update(time=time, contact=contact, kind=kind, q=q, v=v, index=index, joint=joint)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Event):

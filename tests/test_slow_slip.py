@@ -36,10 +36,11 @@ def test_slips_along_their_directions(seed):
         slowest = np.abs(along[:, :count]).min(axis=1)
         allowed = 0.5 * np.where(grown, np.minimum(0.2, 0.1 * slowest), 0.2)
         expected = bool((np.abs(across[:, :count]) <= allowed[:, None]).all())
-        assert is_aligned(across, along, grown, 0.2, 0.5, count) == expected
+        items = np.column_stack([np.arange(2), np.zeros(2), grown]).astype(np.int64)
+        assert is_aligned(across, along, items, 0.2, 0.5, count) == expected
         found.add(expected)
     assert found == {True, False}
-    assert not is_aligned(np.array([[math.nan]]), np.ones((1, 1)), np.array([False]), 1.0, 1.0, 1)
+    assert not is_aligned(np.array([[math.nan]]), np.ones((1, 1)), np.zeros((1, 3), dtype=np.int64), 1.0, 1.0, 1)
 
 
 @pytest.mark.parametrize("direction", [0.7, 2.2])

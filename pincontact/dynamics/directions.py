@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import array_entry
-from ..jit import CALLED, REAL
 from ..layout import (
-    ACROSS_X,
     DIRECTION_X,
     EVENT,
     FROZEN,
     FROZEN_COLUMNS,
     MODE,
+    POLYNOMIAL_SIZE,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
-    SPAN,
     START,
     TANGENTS,
 )
@@ -69,22 +66,16 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
         integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
         integers[FROZEN] = 0
         return
-    prescribe(numbers, system.basis[c], *direction.tolist())
-    integers[FROZEN] = 1
-
-
-@array_entry(REAL[::1], REAL[:, ::1], REAL, REAL, when=CALLED)
-def prescribe(numbers, basis, along, aside):
-    """A constant direction of slip, of these components along the tangents."""
+    along, aside = direction.tolist()
     size = math.hypot(along, aside)
     along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
-    for k in range(FROZEN_COLUMNS):
-        numbers[START + k] = 0.0
-    numbers[SPAN] = 1.0
-    for k in range(3):
-        numbers[DIRECTION_X + k] = along * basis[0, k] + aside * basis[1, k]
-        # n x (a t1 + b second), since n x t1 is the second tangent
-        numbers[ACROSS_X + k] = along * basis[1, k] - aside * basis[0, k]
+    tangents = list(zip(*system.basis[c, :2].tolist()))
+    forward = [along * first + aside * second for first, second in tangents]
+    # n x (a t1 + b second), since n x t1 is the second tangent
+    across = [along * second - aside * first for first, second in tangents]
+    # START, SPAN, DIRECTION, ACROSS, POLYNOMIAL
+    numbers[START : START + FROZEN_COLUMNS] = [0.0, 1.0, *forward, *across, *[0.0] * POLYNOMIAL_SIZE]
+    integers[FROZEN] = 1
 
 
 def align_slips(system: System, t: float, items: list[int], evaluate: Callable[[float], int]) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..arrays import array_entry
 from ..dynamics.evaluation import PLACES_OF_ALL
 from ..dynamics.sliding import slip_direction
 from ..geometry.small import dot
-from ..jit import BOOLEAN, CALLED, INTEGER, REAL, kernel
+from ..jit import INTEGER, REAL, inlined_kernel, kernel
 from ..layout import (
     ACROSS_X,
     CONTACT_REALS,
@@ -37,8 +38,7 @@ from ..layout import (
     START_SPEED,
     system_at,
 )
-from ..linalg import inner, least_norm
-from .stages import evaluate, hand_over
+from .stages import evaluate
 from .trial_steps import interpolation, load_interpolated, start, trial_step
 
 if TYPE_CHECKING:
@@ -87,120 +87,139 @@ def follow_slips(
     the last trial step, which has been interpolated, in which nothing else happens, 1 where that is all of it.
     On success `system.new_state` is the state after it, unprojected, and SLIP_SPEED that of these contacts there.
     """
-    system, k = rk.system, len(powers)
-    relative, absolute = system.scale.tolist()
-    tolerance = _ACCEPTED * (absolute + relative * max(map(abs, system.v.tolist()), default=0.0))
+    system, looks = rk.system, _Looks(rk, t, powers)
     tries = _TRIES_OF_SEVERAL if sum(power > 0 for power in powers.values()) > 1 else _HALVINGS
-    part: float
-    # whether slips grow from rest, or are that slow that the tolerance leaves them no direction
-    slowest = tolerance / _ALIGNED
-    grown = [power > 0 or not system.contact_real.item(c, START_SPEED) > slowest for c, power in powers.items()]
-    items, size = np.array([*powers.items()], dtype=np.int64).reshape(k, 2), k * POLYNOMIAL_SIZE
-    coefficients, order = np.zeros((k, POLYNOMIAL_SIZE)), np.empty(size, dtype=np.int64)
-    # the pulls are not known yet
-    memory = np.full(k * (2 * _LOOKS + k) + size * (4 + 3 * size), math.nan)
-    given = tolerance, items, np.array(grown, dtype=bool), coefficients, memory, order
     while tries > 0 and span >= shortest:
-        part = system.checked(collocate(system.address, t, span, *given))
+        part = looks.collocate(span)
         if part < 1.0:
             tries -= 1
         else:
             part = until_event(t, span)
             if part == 1.0:
+                for c, speed in zip(powers, looks.speeds[1, :, _LAST].tolist()):
+                    system.contact_real[c, SLIP_SPEED] = speed
                 return span
         span *= part
         # the same directions in a shorter time
-        coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
+        looks.coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
     return None
 
 
-@array_entry(
-    INTEGER, REAL, REAL, REAL, INTEGER[:, ::1], BOOLEAN[::1], REAL[:, ::1], REAL[::1], INTEGER[::1], when=CALLED
-)
-def collocate(address, t, span, tolerance, items, grown, coefficients, memory, order):
-    """Broyden's iteration on the polynomials' coefficients (k, POLYNOMIAL_SIZE), from those given, which become the
-    best ones; the part of the span that is to be tried next, 1 where v_c ends up along the direction everywhere.
+class _Looks:
+    """Steps from the accepted state at t with directions of these slips, see `follow_slips`.
 
-    items (k, 2): contacts (or resistances), and powers of the time; grown (k,): which grow from rest; memory, order:
-    scratch, of which the pulls are kept, NaN where they are not known.
+    coefficients (k, POLYNOMIAL_SIZE): of the directions; speeds (2, k, shares): v_c across and along them, divided by
+    the shares' powers.
     """
-    system, k, n = system_at(address), items.shape[0], POLYNOMIAL_SIZE
-    size, at = k * n, 2 * _LOOKS * k
-    across, along = memory[: _LOOKS * k].reshape(k, _LOOKS), memory[_LOOKS * k : at].reshape(k, _LOOKS)
-    pulls, at = memory[at : at + k * k].reshape(k, k), at + k * k
-    vectors, at = memory[at : at + 4 * size].reshape(4, size), at + 4 * size
-    begun, residual, right, step = vectors[0], vectors[1], vectors[2], vectors[3]
-    matrices = memory[at:].reshape(3 * size, size)
-    scalars, largest, aligned, found = system.scalars, -1.0, False, False
-    if not _look_along(system, t, span, items, coefficients, across, along):
-        return SHORTER
-    # what directions change is little against what makes steps inaccurate
-    if not scalars.error_norm < 1.0:
-        return max(_SMALLEST_PART, SHORTER * scalars.error_norm ** (-1.0 / (scalars.error_order + 1.0)))
-    for i in range(size):
-        begun[i] = coefficients[i // n, i % n]
-    for _ in range(_ITERATIONS):
-        aligned = is_aligned(across, along, grown, tolerance, 1.0, _LOOKS)
-        found = aligned or is_aligned(across, along, grown, tolerance, _CONVERGED, n)
-        if found:
-            break
-        if largest < 0.0:
-            # only slips that turn ask for them
-            if math.isnan(pulls[0, 0]) and not _find_pulls(system, t, items, pulls, right):
-                return 0.0
-            _begin_jacobian(span, items, pulls, along, matrices)
-            largest = _DIVERGED * _take_residual(across, residual)
-        for i in range(size):
-            right[i] = -residual[i]
-            for j in range(size):
-                matrices[size + i, j] = matrices[i, j]
-        copy = matrices[size:]
-        if least_norm(copy, right, size, size, step, matrices[2 * size :], order, 0.0) < size:
-            break
-        for i in range(size):
-            coefficients[i // n, i % n] += step[i]
-        if not _largest(coefficients) < 1.0 or not _look_along(system, t, span, items, coefficients, across, along):
-            break
-        for i in range(size):
-            # what the Jacobian foretells
-            right[i] = residual[i] + inner(matrices[i], step, size)
-        if not _take_residual(across, residual) <= largest:
-            break
-        square = inner(step, step, size)
-        for i in range(size):
-            for j in range(size):
-                matrices[i, j] += (residual[i] - right[i]) * step[j] / square
-    if not found:
-        turned = _largest(coefficients)
-        for i in range(size):
-            coefficients[i // n, i % n] = begun[i]
-        return max(_SMALLEST_PART, SHORTER / max(turned, 1.0)) if turned < math.inf else _SMALLEST_PART
-    part = _until_end(system, items, along, tolerance)
-    if part < 1.0:
-        return part
-    # the last trial step has left the state at the end of the span in new_state
-    for m in range(k):
-        system.contact_real[items[m, 0], SLIP_SPEED] = math.hypot(across[m, _LAST], along[m, _LAST])
-    return 1.0 if aligned and scalars.error_norm < 1.0 else SHORTER
+
+    def __init__(self, rk: RungeKutta, t: float, powers: dict[int, int]) -> None:
+        self.rk, self.system, self.t, self.powers, k = rk, rk.system, t, powers, len(powers)
+        relative, absolute = self.system.scale.tolist()
+        fastest = max(map(abs, self.system.v.tolist()), default=0.0)
+        self.tolerance = _ACCEPTED * (absolute + relative * fastest)
+        # whether slips grow from rest, or are that slow that the tolerance leaves them no direction
+        starts, slowest = [self.system.contact_real.item(c, START_SPEED) for c in powers], self.tolerance / _ALIGNED
+        table = [(c, power, power > 0 or not speed > slowest) for (c, power), speed in zip(powers.items(), starts)]
+        self._items = np.array(table, dtype=np.int64).reshape(k, 3)
+        self.coefficients, self.speeds = np.zeros((k, POLYNOMIAL_SIZE)), np.empty((2, k, _LOOKS))
+
+    def collocate(self, span: float) -> float:
+        """Broyden's iteration on the coefficients, from those that there are, which become the best ones; the part of
+        the span that is to be tried next, 1 where v_c ends up along the direction everywhere."""
+        part, scalars = self._look(span), self.system.scalars
+        # what directions change is little against what makes steps inaccurate
+        if math.isnan(part):
+            return SHORTER
+        if not scalars.error_norm < 1.0:
+            return max(_SMALLEST_PART, SHORTER * scalars.error_norm ** (-1.0 / (scalars.error_order + 1.0)))
+        if part <= 1.0:
+            return part
+        if self._pulls is None:
+            return 0.0
+        nodes, start = self.speeds[0, :, :POLYNOMIAL_SIZE], self.coefficients.copy()
+        jacobian, residual = self._jacobian(span * self._pulls), nodes.flatten()
+        largest = _DIVERGED * float(np.abs(residual).max())
+        for _ in range(1, _ITERATIONS):
+            try:
+                step = -np.linalg.solve(jacobian, residual)
+            except np.linalg.LinAlgError:
+                break
+            self.coefficients += step.reshape(start.shape)
+            part = self._look(span) if np.abs(self.coefficients).max() < 1.0 else math.nan
+            if part <= 1.0:
+                return part
+            before, residual = residual, nodes.flatten()
+            if math.isnan(part) or not np.abs(residual).max() <= largest:
+                break
+            jacobian += np.outer(residual - before - jacobian @ step, step) / (step @ step)
+        turned = float(np.abs(self.coefficients).max())
+        self.coefficients[:] = start
+        return max(_SMALLEST_PART, SHORTER / max(turned, 1.0))
+
+    def _look(self, span: float) -> float:
+        """`look_along`."""
+        given = self.tolerance, self._items, self.coefficients, self.speeds
+        result: float = self.system.checked(look_along(self.system.address, self.t, span, *given))
+        return result
+
+    @cached_property
+    def _pulls(self) -> np.ndarray | None:
+        """(k, k) what the acceleration of each in m/s^2 across its direction changes by as that of another turns by 1
+        rad, in the accepted state; None where that cannot be evaluated. Only slips that turn ask for it."""
+        rk, system, contacts = self.rk, self.system, [*self.powers]
+        rk.load(system.state)
+        columns: list[np.ndarray] = []
+        before = np.zeros(len(contacts))
+        directions = [system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3] for c in contacts]
+        for turned in (None, *contacts):
+            system.contact_real[contacts, POLYNOMIAL] = 0.0
+            if turned is not None:
+                system.contact_real[turned, POLYNOMIAL] = _PERTURBATION
+            if rk.evaluate(self.t) > EVENT:
+                return None
+            along = system.relative_acceleration[contacts]
+            across = np.array([x * a[1] - y * a[0] for (x, y), a in zip(directions, along)])
+            if turned is None:
+                before = across
+            else:
+                columns.append((across - before) / _PERTURBATION)
+        return np.array(columns).T
+
+    def _jacobian(self, pulls: np.ndarray) -> np.ndarray:
+        """An approximation to the derivative of v_c across the directions at the nodes by the coefficients; pulls:
+        (k, k) in m/s. A turn by p s^j leaves a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside
+        from then on, and itself turns the direction against v_c."""
+        n, k = POLYNOMIAL_SIZE, len(self.powers)
+        s, orders = np.array(_SHARES[:n])[:, None], np.arange(n)
+        out = np.zeros((k, n, k, n))
+        for m, power in enumerate(self.powers.values()):
+            out[m] = pulls[m][None, :, None] * (s ** (orders + 1 - power) / (orders + 1))[:, None, :]
+            out[m, :, m] -= self.speeds[1, m, :n, None] * s**orders
+        return out.reshape(k * n, k * n)
 
 
-@kernel
-def _look_along(system, t, span, items, coefficients, across, along):
+@array_entry(INTEGER, REAL, REAL, REAL, INTEGER[:, ::1], REAL[:, ::1], REAL[:, :, ::1])
+def look_along(address, t, span, tolerance, items, coefficients, speeds):
     """v_c across and along the prescribed directions at the shares of a step from the state at t, which is tried,
-    divided by the shares' powers; whether that can be evaluated."""
+    divided by the shares' powers, into speeds (2, k, shares). The part of the span that is to be tried next, 1 where
+    v_c is along the directions everywhere; 2 where it is not at the nodes, NaN where it cannot be evaluated.
+
+    items (k, 3): contacts (or resistances), powers of the time, and whether slip grows from rest.
+    """
+    system, across, along = system_at(address), speeds[0], speeds[1]
     for m in range(items.shape[0]):
         numbers = system.contact_real[items[m, 0]]
         numbers[START], numbers[SPAN] = t, span
         for j in range(POLYNOMIAL_SIZE):
             numbers[POLYNOMIAL + j] = coefficients[m, j]
     if start(system, t) > EVENT or trial_step(system, t, span, False) != OK or interpolation(system, t, span) > EVENT:
-        return False
+        return math.nan
     direction = system.vectors[0]
     for i in range(_LOOKS):
         share = _SHARES[i]
         load_interpolated(system, share)
         if evaluate(system, t + share * span, PLACES_OF_ALL) > EVENT:
-            return False
+            return math.nan
         for m in range(items.shape[0]):
             c, growth = items[m, 0], 1.0
             for _ in range(items[m, 1]):
@@ -210,71 +229,15 @@ def _look_along(system, t, span, items, coefficients, across, along):
             first, second = dot(basis[0], slip), dot(basis[1], slip)
             across[m, i] = (direction[0] * second - direction[1] * first) / growth
             along[m, i] = (direction[0] * first + direction[1] * second) / growth
-    return True
+    aligned = is_aligned(across, along, items, tolerance, 1.0, _LOOKS)
+    if not (aligned or is_aligned(across, along, items, tolerance, _CONVERGED, POLYNOMIAL_SIZE)):
+        return 2.0
+    part = _until_end(system, items, along, tolerance)
+    # the trial step has left the state at the end of the span in new_state
+    return part if part < 1.0 or (aligned and system.scalars.error_norm < 1.0) else SHORTER
 
 
-@kernel
-def _find_pulls(system, t, items, pulls, before):
-    """pulls (k, k): what the acceleration of each in m/s^2 across its direction changes by as that of another turns by
-    1 rad, in the accepted state; whether that can be evaluated. before (k,): scratch."""
-    state, stage_state = system.state, system.stage_state
-    for i in range(system.sizes.ny):
-        stage_state[i] = state[i]
-    hand_over(system, stage_state)
-    for turned in range(-1, items.shape[0]):
-        for m in range(items.shape[0]):
-            system.contact_real[items[m, 0], POLYNOMIAL] = _PERTURBATION if m == turned else 0.0
-        if evaluate(system, t, 0) > EVENT:
-            return False
-        for m in range(items.shape[0]):
-            c = items[m, 0]
-            basis, forward = system.basis[c], system.contact_real[c, DIRECTION_X:]
-            rate = system.relative_acceleration[c]
-            aside = dot(basis[0], forward) * rate[1] - dot(basis[1], forward) * rate[0]
-            if turned < 0:
-                before[m] = aside
-            else:
-                pulls[m, turned] = (aside - before[m]) / _PERTURBATION
-    return True
-
-
-@kernel
-def _begin_jacobian(span, items, pulls, along, out):
-    """An approximation to the derivative of v_c across the directions at the nodes by the coefficients.
-
-    A turn by p s^j leaves a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside from then on, and
-    itself turns the direction against v_c.
-    """
-    n = POLYNOMIAL_SIZE
-    for i in range(items.shape[0] * n):
-        m, node, share = i // n, i % n, _SHARES[i % n]
-        for other in range(items.shape[0]):
-            for j in range(n):
-                slope = span * pulls[m, other] * share ** (j + 1 - items[m, 1]) / (j + 1)
-                out[i, other * n + j] = slope - (along[m, node] * share**j if other == m else 0.0)
-
-
-@kernel
-def _take_residual(across, residual):
-    """v_c across the directions at the nodes, as one vector; its largest entry, NaN if one is."""
-    size = 0.0
-    for i in range(residual.shape[0]):
-        residual[i] = across[i // POLYNOMIAL_SIZE, i % POLYNOMIAL_SIZE]
-        size = abs(residual[i]) if not abs(residual[i]) <= size else size
-    return size
-
-
-@kernel
-def _largest(coefficients):
-    """The largest of all coefficients, infinite if one is no number."""
-    size = 0.0
-    for m in range(coefficients.shape[0]):
-        for j in range(POLYNOMIAL_SIZE):
-            size = max(size, abs(coefficients[m, j]) if coefficients[m, j] == coefficients[m, j] else math.inf)
-    return size
-
-
-@kernel
+@inlined_kernel
 def _until_end(system, items, along, tolerance):
     """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
     faster than the tolerance, or than a part of what they are; the others have to grow. 1 where that is all of it."""
@@ -298,12 +261,13 @@ def _until_end(system, items, along, tolerance):
 
 
 @kernel
-def is_aligned(across, along, grown, tolerance, within, count):
-    """Whether v_c (contacts, shares) is across the directions by no more than `within` of the tolerance, or, where it
-    has grown from rest, of its own size: it goes on in the direction that it shows. count: of shares to look at."""
+def is_aligned(across, along, items, tolerance, within, count):
+    """Whether v_c (k, shares) is across the directions by no more than `within` of the tolerance, or, where it grows
+    from rest, of its own size: it goes on in the direction that it shows. items (k, 3): see `look_along`; count: of
+    shares to look at."""
     for m in range(across.shape[0]):
         allowed = tolerance
-        for k in range(count if grown[m] else 0):
+        for k in range(count if items[m, 2] != 0 else 0):
             allowed = min(allowed, _ALIGNED * abs(along[m, k]))
         for k in range(count):
             if not abs(across[m, k]) <= within * allowed:

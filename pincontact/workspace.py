@@ -214,8 +214,8 @@ _UNSET = -(1 << 40)
 
 
 class Numbers(ctypes.Structure):
-    """A single record, whose numbers are attributes, as they are to kernels; by their names they are NumPy's, as those
-    of NumPy's records, which take as long to read one as it takes to call a kernel."""
+    """A single record, whose numbers are attributes, as they are to kernels; by their names they are those of
+    NumPy's records, which take as long to read one as it takes to call a kernel."""
 
     __slots__ = ()
     dtype: np.dtype[Any]
@@ -224,11 +224,11 @@ class Numbers(ctypes.Structure):
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __getitem__(self, name: str) -> Any:
-        return self.dtype[name].type(getattr(self, name))
+    def __getitem__(self, name: str | list[str]) -> Any:
+        return np.ndarray((), self.dtype, self)[name][()]
 
-    def __setitem__(self, name: str, number: float | int) -> None:
-        setattr(self, name, number)
+    def __setitem__(self, name: str | list[str], number: Any) -> None:
+        np.ndarray((), self.dtype, self)[name] = number
 
 
 @cache

@@ -225,10 +225,10 @@ class Numbers(ctypes.Structure):
         def __getattr__(self, name: str) -> Any: ...
 
     def __getitem__(self, name: str | list[str]) -> Any:
-        return np.ndarray((), self.dtype, self)[name][()]
+        return np.ndarray((), self.dtype, memoryview(self))[name][()]
 
     def __setitem__(self, name: str | list[str], number: Any) -> None:
-        np.ndarray((), self.dtype, self)[name] = number
+        np.ndarray((), self.dtype, memoryview(self))[name] = number
 
 
 @cache

@@ -100,31 +100,32 @@ class SlipSteps:
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
         stopped = system.state + left * system.slopes[0]
-        self.outputs.keep_end_of_slip(t, left, ended)
-        integers, forces = system.contact_int.copy(), self.transitions.modes.reference()
-        # v_c is round-off there and has no direction: not to be evaluated as slip
-        for i in contacts:
-            system.contact_int[i, MODE] = STICK
-        worth = self._worth(t + left, stopped) / further if further >= 1.0 else 0.0
-        self.transitions.modes.take_back(forces)
+        worth = self._worth(t, left, contacts, stopped) / further if further >= 1.0 else 0.0
         if worth > _WORTH:
-            self.outputs.drop()
-            system.contact_int[:] = integers
-            self.transitions.changes.evaluate_accepted(t)
             system.counters.stalled = -min(math.ceil(math.log2(worth)), _HALVINGS)
             return t, False
+        self.outputs.keep_end_of_slip(t, left, ended)
+        # v_c is round-off there and has no direction: not to be evaluated as slip
+        system.contact_int[contacts, MODE] = STICK
         rk.load(stopped)
         allow_start(t + left, scalars.step)
         after = self.transitions.come_to_rest(t + left, ended)
         self._accepted(after)
         return after, True
 
-    def _worth(self, t: float, stopped: np.ndarray) -> float:
-        """What the constraints take from the velocity of the state in which slips have ended at t, in tolerances."""
-        modes = self.transitions.modes
+    def _worth(self, t: float, left: float, contacts: list[int], stopped: np.ndarray) -> float:
+        """What the end of these slips, in the state `left` s after the accepted one at t, takes from the velocity, in
+        tolerances."""
+        system, modes = self.system, self.transitions.modes
+        integers, forces = system.contact_int.copy(), modes.reference()
+        system.contact_int[contacts, MODE] = STICK
         self.rk.load(stopped)
-        before = self.system.v.copy()
-        if not self.rk.project(t, False):
-            return 0.0
-        taken, speed = modes.taken_from(before)
-        return taken / modes.tolerance(speed)
+        before, taken = system.v.copy(), 0.0
+        if self.rk.project(t + left, False):
+            taken, speed = modes.taken_from(before)
+            taken /= modes.tolerance(speed)
+        system.contact_int[:] = integers
+        modes.take_back(forces)
+        # joints beside come to rest by what they did till now
+        self.transitions.changes.evaluate_accepted(t)
+        return taken

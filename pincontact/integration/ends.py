@@ -15,7 +15,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.small import dot, norm
 from ..jit import kernel
 from ..layout import CARRIER, CHART, DOMAIN, LENGTH
-from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, rest_speed, round_off
+from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, gap_rate, rest_speed, round_off
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
@@ -41,6 +41,16 @@ def comes_in(system: RunSystem, c: int) -> bool:
         return False
     side, a, inward = nearest_end(system, c)
     return bool(inward * system.rates[c, 2 * side + a] > 0.0)
+
+
+def waits(system: RunSystem, c: int, touching: list[int]) -> bool:
+    """Whether contact c comes in over an end, without approach, where others between its bodies strike in the last
+    evaluation: what comes in still is known after that."""
+    if not comes_in(system, c):
+        return False
+    near, rest = system.contact_real[c, LENGTH] * APART_AT_END, rest_speed(system)
+    strike = [i for i in touching if i != c and gap_rate(system, i) < -rest and is_beside(system, c, i, near)]
+    return bool(strike) and gap_rate(system, c) >= -rest
 
 
 def passes_by(system: RunSystem, c: int) -> bool:
@@ -75,16 +85,16 @@ def is_kept_out(system, c, gaps, rates, ways, known_to, near, rest):
 def _is_between(system, c, i, ways, known_to, near):
     """Whether the tangent plane of contact i lies between the bodies of contact c where this is: the face that ends
     there is behind it, and no other one that does comes before it."""
-    if not (_is_beside(system, c, i, near) and _rise(system, c, i) < -_ACROSS):
+    if not (is_beside(system, c, i, near) and _rise(system, c, i) < -_ACROSS):
         return False
     for j in range(ways.shape[0]):
-        if abs(ways[j]) <= known_to and _is_beside(system, c, j, near) and _rise(system, j, i) > _ACROSS:
+        if abs(ways[j]) <= known_to and is_beside(system, c, j, near) and _rise(system, j, i) > _ACROSS:
             return False
     return True
 
 
 @kernel
-def _is_beside(system, c, i, near):
+def is_beside(system, c, i, near):
     """Whether contact i is between the bodies of contact c, and at the place of what comes to an end there."""
     other = 1 - nearest_end(system, c)[0]
     owner, guest = _carrier(system, c, 1 - other), _carrier(system, c, other)

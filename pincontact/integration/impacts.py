@@ -31,7 +31,7 @@ from ..layout import (
 )
 from .accuracy import count_rebound, gap_rate, gap_resolution, may_stop, rest_speed
 from .contradictions import crushed
-from .ends import comes_in
+from .ends import comes_in, waits
 from .penetration import Penetration
 from .results import FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
@@ -69,7 +69,9 @@ class Impacts:
         # whatever touches at the same instant, by symmetry, takes part; what dips does not, whatever its depth
         others = [i for i in range(system.nc) if i != c and modes[i] == FREE and i not in penetration.contacts]
         others = [i for i in others if (self.onset.open.apart[i] or comes_in(system, i)) and self._is_due(i)]
-        touching = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
+        due = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
+        waiting = [i for i in due if waits(system, i, due)]
+        touching = [i for i in due if i not in waiting]
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
         unopened: dict[int, int] = {}
         for i in touching:
@@ -83,9 +85,9 @@ class Impacts:
                 self.reports.announce(t, i, "touch")
             modes[i] = rest_mode(system.contact_real[i, MU])
         if rebounding:
-            self.reports.check_rebounds(t, c)
+            self.reports.check_rebounds(t, touching[0])
         else:
-            self.reports.check_chatter(t, c)
+            self.reports.check_chatter(t, touching[0])
         count = len(self.reports.events)
         after = self.collide(t, touching, rebounding)
         self._announce_others(t, touching)
@@ -96,6 +98,9 @@ class Impacts:
                     self.reports.announce(t, i, "separate")
             elif modes[i] != before:
                 self.reports.announce_friction(t, i, bool(modes[i] == SLIPPING))
+        for i in waiting:
+            if modes[i] == FREE and self._is_due(i) and gap_rate(system, i) <= _LEAVING_SPEED:
+                return self.touch(after, i)
         return after
 
     def stop_joints(self, t: float) -> float:
@@ -158,7 +163,7 @@ class Impacts:
         system, changes = self.system, self.changes
         self._before = system.contact_int[:, MODE].copy(), system.slip.copy(), system.q.copy(), system.v.copy()
         changes.started.clear()
-        near = self._close_near()
+        near = self._close_near(touching)
         changes.evaluate_rows(t)
         closed, ends = system.closed(), self.joints.held_at_ends()
         deep = any(c in self.penetration.contacts for c in closed)
@@ -198,7 +203,7 @@ class Impacts:
 
     # ---------------------------------------------------------------- what takes part, and what leaves
 
-    def _close_near(self) -> list[int]:
+    def _close_near(self, touching: list[int]) -> list[int]:
         """Let all take part in an impact that is as near as symmetric motions leave it, whatever it does before:
         contacts, which are returned, and ends of joints.
 
@@ -216,6 +221,7 @@ class Impacts:
             and c not in self.penetration.contacts
             and self.restitution[c] == 0.0
             and self._is_due(c)
+            and not waits(system, c, touching)
         ]
         for c in near:
             modes[c] = rest_mode(system.contact_real[c, MU])

@@ -271,9 +271,8 @@ SCAN_ROWS = RIGHT_ROW + 1
 NOTHING_THERE = 1e300
 # Two places of a contact closer than this, relative to its length, are one.
 SAME_PLACE = 1e-6
-# What is at an end of a contour is on it, whatever rounding says: ends are so much further out, in m or rad. Half of what
-# counts as at once: what strikes there does so as it comes in.
-END_MARGIN = 1e-12
+# What is at an end of a contour is on it, whatever rounding says: ends are so much further out, in m or rad.
+END_MARGIN = 1e-11
 
 
 _REALS, _INTEGERS = Scratch(REALS), Scratch(INTEGERS)

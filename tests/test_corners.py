@@ -177,21 +177,26 @@ def test_an_ellipse_that_starts_beside_an_end_meets_the_line(side):
         assert np.hypot(points[:, 0] / a, points[:, 1] / b).min() >= 1.0 - 1e-6
 
 
-def flush(seed: int, height: float, speed: float):
-    """A box over a fixed one of the same size, corner above corner, in a turned world: scene, q, v, that world."""
-    sizes, rng = np.array([0.1, 0.08, 0.06]), np.random.default_rng(seed)
-    world = pin.SE3.Identity() if seed == 0 else pin.SE3.Random()
-    if seed != 0:
-        world.rotation, world.translation = (
-            pin.Quaternion(*rng.normal(size=4)).normalized().matrix(),
-            rng.normal(size=3),
-        )
+def turned_world(seed: int, rng: np.random.Generator) -> pin.SE3:
+    if seed == 0:
+        return pin.SE3.Identity()
+    return pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized().matrix(), rng.normal(size=3))
+
+
+def box_model(sizes: np.ndarray) -> pin.Model:
     model = pin.Model()
-    model.gravity.linear = world.rotation @ [0, 0, -G]
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     inertia = np.diag((sizes @ sizes - sizes**2) / 12.0)
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), inertia), pin.SE3.Identity())
     model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    return model
+
+
+def flush(seed: int, height: float, speed: float):
+    """A box over a fixed one of the same size, corner above corner, in a turned world: scene, q, v, that world."""
+    sizes, rng = np.array([0.1, 0.08, 0.06]), np.random.default_rng(seed)
+    world, model = turned_world(seed, rng), box_model(sizes)
+    model.gravity.linear = world.rotation @ [0, 0, -G]
     scene = pc.Scene(model)
     face = pc.Plane(tuple((-0.5 * size, 0.5 * size) for size in sizes[:2]))
     scene.add_contour("top", face, placement=world)
@@ -222,4 +227,53 @@ def test_boxes_of_one_size_stand_on_each_other(height, speed, seed, method):
     # v^2 / (2 mu g), to the errors of the tolerances, of an impact, or of the step in which it stops
     expected = [speed**2 / (2 * 0.5 * G), 0.0, 0.03]
     np.testing.assert_allclose(pose.translation, expected, atol=1e-6)
+    np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-6)
+
+
+@pytest.mark.parametrize("method", [{}, {"method": "Moreau", "dt": 1e-3}], ids=["DOP853", "Moreau"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_box_slides_along_a_box_that_stands_on_the_ground(seed, method):
+    """Of that box the lower face, in the plane of the ground, is declared, too: what comes in under it where the bodies
+    strike waits for the strike. It was wedged between that and the ground, with status 0, and much too slow then."""
+    rng, mu = np.random.default_rng(seed), 0.2
+    sizes, speed = rng.uniform(0.08, 0.12, 3), np.array([rng.uniform(1.0, 1.5), rng.uniform(0.5, 1.0)])
+    world, model = turned_world(seed, rng), box_model(sizes)
+    model.gravity.linear = world.rotation @ [0, 0, -G]
+    scene, start = pc.Scene(model), -0.05
+    wall = pin.SE3(np.eye(3), np.array([0.0, 0.5 * sizes[1], 0.0]))
+    up, down, across = np.eye(3), np.diag([1.0, -1.0, -1.0]), pin.utils.rotate("x", 0.5 * math.pi)
+    # x and y of a contour, from its own origin; z is its outside
+    scene.add_contour("ground", pc.Plane(), placement=world)
+    scene.add_contour(
+        "face", pc.Plane(((-2.0, 2.0), (0.0, 0.3))), placement=world * wall * pin.SE3(across, np.zeros(3))
+    )
+    scene.add_contour(
+        "lower", pc.Plane(((-2.0, 2.0), (-0.3, 0.0))), placement=world * wall * pin.SE3(down, np.zeros(3))
+    )
+    signs = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+    for i, place in enumerate(signs):
+        scene.add_contour(f"corner {i}", pc.Point(), "body", placement=pin.SE3(up, sizes * place))
+        for other in ("ground", "face", "lower"):
+            scene.add_contact(f"{i} on {other}", f"corner {i}", other, friction=pc.Coulomb(mu))
+    # edges tell how the body goes on from its corners: upwards
+    scene.add_contour("foot", pc.Line((-2.0, 2.0)), placement=world * wall)
+    upright, half = pin.utils.rotate("y", -0.5 * math.pi), 0.5 * sizes[2]
+    for x in (-0.5, 0.5):
+        edge = pin.SE3(upright, sizes * [x, 0.5, 0.0])
+        scene.add_contour(f"edge {x}", pc.Line((-half, half)), "body", placement=edge)
+        scene.add_contact(f"edge {x} on foot", f"edge {x}", "foot", friction=pc.Coulomb(mu))
+    q = pin.SE3ToXYZQUAT(world * pin.SE3(np.eye(3), np.array([0.0, start, half])))
+    stands = [f"{i} on ground" for i, place in enumerate(signs) if place[2] < 0.0]
+    state = scene.initial_state(q, [*speed, 0.0, 0.0, 0.0, 0.0], free=[c for c in scene.contacts if c not in stands])
+    run = pc.simulate(scene, state, 1.0, **method)
+    assert run.status == 0, run.message
+    # straight to the wall, which takes what goes into it and friction's part of that, and along it to rest
+    slowing, fast = mu * G, float(np.hypot(*speed))
+    unit = speed / fast
+    struck = math.sqrt(fast**2 - 2.0 * slowing * -start / unit[1])
+    along = struck * (unit[0] - mu * unit[1])
+    pose = world.actInv(pin.XYZQUATToSE3(run.q[-1]))
+    expected = [-start * unit[0] / unit[1] + along**2 / (2.0 * slowing), 0.0, half]
+    # to the errors of the impact, or of the step in which it strikes: friction acts half of that with a wrong speed
+    np.testing.assert_allclose(pose.translation, expected, atol=3e-4 if method else 1e-6)
     np.testing.assert_allclose(pose.rotation, np.eye(3), atol=1e-6)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import (
+    END_MARGIN,
     LENGTH,
     MODE,
     MU,
@@ -109,7 +110,8 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 
 def gaps_at_once(system: RunSystem) -> np.ndarray:
     """(items,) how large the gaps are, in m or rad, of what touches in the same instant as others."""
-    least = np.maximum(_AT_ONCE * system.gap_accuracy, AT_ONCE_ROUND_OFF * round_off(system))
+    # what comes in over an end, and what strikes there, are as far apart as ends are moved out
+    least = np.maximum(_AT_ONCE * system.gap_accuracy, max(AT_ONCE_ROUND_OFF * round_off(system), 2.0 * END_MARGIN))
     return np.maximum(least, gap_resolution(system))
 
 

@@ -30,7 +30,7 @@ from ..layout import (
 )
 from ..linalg import inner
 from .accuracy import APART_AT_END, REST
-from .ends import is_kept_out
+from .ends import is_beside, is_kept_out
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, STEP
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
@@ -77,9 +77,7 @@ def passes_by(system, step, c, part):
     known_to = APART_AT_END * numbers[c, LENGTH]
     if not abs(ways[c]) <= known_to:
         return 0
-    # as near as what slides comes in the step
-    near = known_to + step.numbers.h * norm(system.slip[c])
-    rates = as_array(step.start_normal)[:, 0]
+    rates, near = as_array(step.start_normal)[:, 0], _near(system, step, c)
     return 1 if is_kept_out(system, c, step.start_gap, rates, ways, known_to, near, REST) else 0
 
 
@@ -105,6 +103,24 @@ def _add_unit(step, kind, index, mask, mu, instant):
 
 
 @kernel
+def _strikes_beside(system, step, c):
+    """Whether the bodies of contact c strike each other in the step where it is: what comes in still is known then."""
+    near = _near(system, step, c)
+    for i in range(system.sizes.nc):
+        speed = step.start_normal[i, 0]
+        falls = speed < -REST and step.start_gap[i] + speed * step.numbers.h < 0.0
+        if falls and i != c and step.start_mode[i] == FREE and step.behind[i] == 0 and is_beside(system, c, i, near):
+            return True
+    return False
+
+
+@kernel
+def _near(system, step, c):
+    """How far in m from contact c what slides is at the same place in the step."""
+    return APART_AT_END * system.contact_real[c, LENGTH] + step.numbers.h * norm(system.slip[c])
+
+
+@kernel
 def _when_it_touches(system, step, c):
     """When contact c, which is open, closes in the step, SPREAD, PASSING or NEVER."""
     h, ahead, trend = step.numbers.h, step.numbers.ahead, step.counts.has_trend
@@ -117,7 +133,8 @@ def _when_it_touches(system, step, c):
     start, later, instant = step.start_domain[c], system.contact_real[c, DOMAIN], NEVER
     if abs(gap) <= touching and abs(speed) * h <= touching and start < 0.0 and ahead > 0.0:
         # at rest on what it comes over in the step
-        instant = SPREAD if _way_at(start, later, h / ahead) >= 0.0 else NEVER
+        comes = _way_at(start, later, h / ahead) >= 0.0
+        instant = SPREAD if comes and not _strikes_beside(system, step, c) else NEVER
     elif trend != 0:
         # before that nothing tells whether it touches, which depends on what holds the bodies
         rate = inner(system.rows[c, 2], step.transported_trend, system.sizes.nv) + system.bias[c, 2]

@@ -104,13 +104,17 @@ def _add_unit(step, kind, index, mask, mu, instant):
 
 @kernel
 def _strikes_beside(system, step, c):
-    """Whether the bodies of contact c strike each other in the step where it is: what comes in still is known then."""
-    near = _near(system, step, c)
+    """Whether the bodies of contact c strike each other in the step where it is, and not past each other: what comes in
+    still is known then."""
+    h, ahead, near = step.numbers.h, step.numbers.ahead, _near(system, step, c)
     for i in range(system.sizes.nc):
-        speed = step.start_normal[i, 0]
-        falls = speed < -REST and step.start_gap[i] + speed * step.numbers.h < 0.0
-        if falls and i != c and step.start_mode[i] == FREE and step.behind[i] == 0 and is_beside(system, c, i, near):
-            return True
+        gap, speed = step.start_gap[i], step.start_normal[i, 0]
+        falls = i != c and speed < -REST and gap + speed * h < 0.0
+        if falls and step.start_mode[i] == FREE and step.behind[i] == 0 and is_beside(system, c, i, near):
+            part = max(gap, 0.0) / (-speed * ahead)
+            inside = _way_at(step.start_domain[i], system.contact_real[i, DOMAIN], part) >= 0.0
+            if inside and passes_by(system, step, i, part) == 0:
+                return True
     return False
 
 

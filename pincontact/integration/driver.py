@@ -16,10 +16,12 @@ import numpy as np
 from ..dynamics.redistribution import leaves_loads_open
 from ..layout import (
     DOMAIN,
+    DOMAIN_EVENT,
     EVENT,
     FREE,
     FRICTION_EVENT,
     LOCATION_FAILED,
+    MODE,
     NO_FORCE,
     NORMAL_EVENT,
     OK,
@@ -27,6 +29,7 @@ from ..layout import (
 from .accuracy import held_up
 from .contradictions import projection_failure
 from .dense import Interpolant
+from .ends import at_end
 from .events import UserEvent, UserEvents, lost_zeros
 from .locator import Crossing, EventLocator
 from .options import Options
@@ -499,9 +502,9 @@ class Driver:
         rk.load(state)
         if not rk.project(time, False, rk.error):
             return self._give_way(time, state, step), True
-        if not happens and self._doubts < _DOUBTS:
+        if (not happens and self._doubts < _DOUBTS) or self._stays_within(crossing):
             # a shorter step, like any other
-            self._doubts += 1
+            self._doubts += not happens
             rk.accept()
             self._after(time, True)
             return time, False
@@ -514,6 +517,13 @@ class Driver:
             raise
         self._after(after)
         return after, True
+
+    def _stays_within(self, crossing: Crossing) -> bool:
+        """Whether a closed contact that was seen at an end of a contour is not there in the projected state: what grazes
+        the end does not reach it, whatever the error of a step says."""
+        c, kind, system = crossing.c, crossing.kind, self.system
+        closed = kind == DOMAIN_EVENT and c < system.nc and system.contact_int[c, MODE] != FREE
+        return bool(closed and crossing.theta > 0.0 and system.contact_real[c, DOMAIN] > at_end(system))
 
     def _keep_to(self, t: float, taken: float, step: float) -> None:
         """Keep the interpolant of the step from t that was taken to an event, where all are kept; that of the whole

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from shared import body_scene, one_body
+from shared import body_scene, one_body, rotation
 
 import pincontact as pc
 
@@ -250,3 +250,38 @@ def test_a_box_slides_over_a_step(mu, yaw, method):
         assert all(np.abs(x[:2]).max() > 0.98 * half or x[2] < -half + 1e-6 for x in inside)
     # without friction it is soon far enough out to tip
     assert (run.v[-1, 4] > 0.1) == (mu == 0.0)
+
+
+def in_a_valley(seed: int, overlap: float):
+    """Where a disk that slides without friction in a valley of two half planes is after half a second, in which it yaws
+    to and fro through the way the valley goes, and touches both there. overlap: by how much they go on behind it."""
+    axes, radius = rotation(np.random.default_rng(seed)), 0.13
+    moments = [0.25 * radius**2, 0.25 * radius**2, 0.5 * radius**2]
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, moments, axes @ [0.0, 0.0, -GRAVITY])
+    scene.add_contour("disk", pc.Circle(radius), frame="body")
+    yawed = pin.utils.rotate("z", 0.25) @ pin.utils.rotate("x", 0.5 * math.pi)
+    normals, heights = [], []
+    for slope, ends in ((0.758, (-overlap, math.inf)), (-1.065, (-math.inf, overlap))):
+        turned = pin.utils.rotate("x", slope)
+        plane = pc.Plane(((-math.inf, math.inf), ends))
+        scene.add_contour(f"plane {slope}", plane, placement=pin.SE3(axes @ turned, np.zeros(3)))
+        scene.add_contact(f"disk on plane {slope}", "disk", f"plane {slope}")
+        normals.append(turned[1:, 2])
+        heights.append(radius * math.sqrt(1.0 - (yawed[:, 2] @ turned[:, 2]) ** 2))
+    place = axes @ [0.0, *np.linalg.solve(normals, heights)]
+    state = scene.initial_state(
+        [*place, *pin.Quaternion(axes @ yawed).coeffs()], [*(yawed.T @ [0.3, 0.0, 0.0]), *(yawed.T @ [0.1, 0.0, -2.0])]
+    )
+    run = pc.simulate(scene, state, 0.5)
+    assert run.status == 0, run.message
+    return axes.T @ run.q[-1, :3], len(run.events)
+
+
+@pytest.mark.parametrize("seed", (4, 8, 14))
+def test_a_disk_stays_in_a_valley_whose_planes_end_there(seed):
+    """Its points graze the ends, and do not come over them, wherever errors of a step have them."""
+    place, events = in_a_valley(seed, 0.0)
+    expected, without = in_a_valley(seed, 0.01)
+    assert events == without
+    # at the default tolerance of 1e-8
+    assert np.abs(place - expected).max() < 1e-7

@@ -285,3 +285,46 @@ def test_a_disk_stays_in_a_valley_whose_planes_end_there(seed):
     assert events == without
     # at the default tolerance of 1e-8
     assert np.abs(place - expected).max() < 1e-7
+
+
+def thrown_at_an_edge(contour, moments, start, velocity, mu, duration, plane_first, method="DOP853"):
+    """A run of a body of 1 kg that is thrown at the edge, along y, of a plane that ends at x = 0."""
+    scene, friction = body_scene(pin.JointModelFreeFlyer(), 1.0, moments), pc.Coulomb(mu) if mu else None
+    scene.add_contour("body", contour, frame="body")
+    scene.add_contour("plane", pc.Plane(((-math.inf, 0.0), (-math.inf, math.inf))))
+    turned = pin.SE3(pin.utils.rotate("z", 0.5 * math.pi), np.zeros(3))
+    scene.add_contour("edge", pc.Line((-math.inf, math.inf)), placement=turned)
+    scene.add_contact("on plane", *(("plane", "body") if plane_first else ("body", "plane")), friction)
+    scene.add_contact("on edge", "body", "edge", friction)
+    state = scene.initial_state(start, velocity, free=["on plane", "on edge"])
+    return pc.simulate(scene, state, duration, method=method)
+
+
+def test_a_torus_that_comes_over_an_edge_touches_the_plane_behind_it():
+    """Elsewhere than where it was followed to, and within the step as far as gaps are known."""
+    axes = np.array([[-0.266, 0.941, 0.209], [-0.281, 0.131, -0.951], [-0.922, -0.312, 0.229]])
+    left, _, right = np.linalg.svd(axes)
+    start = [0.0609, 0.0, 0.25, *pin.Quaternion(left @ right).coeffs()]
+    velocity = [*(right.T @ left.T @ [-0.056, 0.747, -1.847]), 7.83, -0.48, 3.4]
+    torus, moments = pc.Torus(0.164, 0.036), (0.01, 0.01, 0.02)
+    runs = [thrown_at_an_edge(torus, moments, start, velocity, 1.0, 0.155, first) for first in (False, True)]
+    for run in runs:
+        assert run.status == 0, run.message
+        assert ("on plane", "touch") in [(event.contact, event.kind) for event in run.events]
+        assert abs(run.contacts["on plane"].gap[-1]) < 1e-8
+    # at the default tolerance of 1e-8, after two impacts
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-6
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+@pytest.mark.parametrize("seed", [0, 4, 10])
+def test_an_ellipsoid_falls_past_an_edge(seed, method):
+    """It is beside the plane then, which it touches nowhere, in whatever order the contours are named."""
+    turning = np.random.default_rng(seed).integers(-6, 7, 3)
+    moments = 0.2 * np.array([0.1**2 + 0.12**2, 0.2**2 + 0.12**2, 0.2**2 + 0.1**2])
+    start, velocity = [0.1, 0.0, 0.3, *STANDING], [0.0, 0.0, 0.0, *turning]
+    shape = pc.Ellipsoid(0.2, 0.1, 0.12)
+    runs = [thrown_at_an_edge(shape, moments, start, velocity, 0.0, 0.5, first, method) for first in (False, True)]
+    for run in runs:
+        assert run.status == 0, run.message
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-6

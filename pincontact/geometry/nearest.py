@@ -301,15 +301,18 @@ class NearestSearch:
     def _touch(self, t: float, distances: np.ndarray, touches: bool) -> bool:
         """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an
         end of the divided contour: what is round, from whose surface its cells have these distances (n,), or samples
-        that are below a graph, or, of others, what cells tell: touches."""
+        behind a graph, or, of others, what cells tell: touches."""
         if len(self.whole.points) == 1 and self.whole.rounding == 0.0:
             return False
         i = int(np.argmin(distances))
         depth, place, margin = -distances[i], self._cells.middles[i], self._cells.halves[i]
-        if self.whole.rounding == 0.0 and isinstance(self.divided, HeightField):
+        if self.whole.rounding == 0.0 and isinstance(self.divided, (Plane, HeightField)):
             rotation, centre = self.pose()
             samples = (self.whole.points - self.whole.centre) @ rotation.T + centre
-            depths = self.divided.evaluate_many(samples[:, :2], t)[:, 0, 2] - samples[:, 2]
+            below = evaluated(self.divided, samples[:, :2], t)[:, 0, 2] - samples[:, 2]
+            # a graph that is body 1 has the other body on any side
+            sides = (1, -1) if self.side == 1 else (int(self.system.contact_int[self.c, SIDE]),)
+            depths = min((side * below for side in sides), key=np.max)
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
         elif self.whole.rounding == 0.0:

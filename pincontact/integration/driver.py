@@ -326,7 +326,8 @@ class Driver:
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
             self._finish(t)
-            self.transitions.note_sides(False)
+            # what has come there within the step, as far as gaps are known, is about to touch
+            self.transitions.open.note(self.system.gap_accuracy.item)
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""

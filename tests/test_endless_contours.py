@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 
 import pincontact as pc
 from pincontact.contours.base import ALL, F
@@ -129,8 +130,10 @@ def thrown(make, seed):
     u = np.linspace(-60.0, 60.0, 120_001) if contour.dimension == 1 else np.linspace(-6.0, 6.0, 601)
     samples = np.column_stack([part.ravel() for part in f(*np.meshgrid(*contour.dimension * [u], indexing="ij"))])
 
+    tree = scipy.spatial.cKDTree(samples, compact_nodes=False, balanced_tree=False)
+
     def gap(centre):
-        return math.sqrt(((samples - placement.actInv(centre)) ** 2).sum(axis=1).min()) - radius
+        return tree.query(placement.actInv(centre))[0] - radius
 
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "ball")

@@ -73,13 +73,14 @@ LOOK = """(() => {
   };
 })()"""
 
-# Shows or hides the nodes of a name.
-SHOW = """((part, shown) => {
+# Shows the nodes of a name again, and hides those of another one.
+SHOW = """((shown, hidden) => {
   const walk = (node) => {
     for (const [name, child] of Object.entries(node.children)) {
-      if (name === part) {
-        if (!shown) child.was = child.object.visible;
-        child.object.visible = shown ? child.was : false;
+      if (name === shown) child.object.visible = child.was;
+      else if (name === hidden) {
+        child.was = child.object.visible;
+        child.object.visible = false;
       } else walk(child);
     }
   };
@@ -176,10 +177,10 @@ def feet():
 @pytest.mark.parametrize(
     ("make", "drawn", "rows", "size"),
     [
-        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (800, 600)),
-        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
-        (wire, ["contours", "trace"], 1, (800, 600)),
-        (feet, ["normal"], 16, (800, 600)),
+        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (640, 480)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (640, 480)),
+        (wire, ["contours", "trace"], 1, (640, 480)),
+        (feet, ["normal"], 16, (640, 480)),
         (ball, ["normal", "point"], 1, (390, 844)),
     ],
     ids=["meshes", "primitives", "wire", "32 contacts", "phone"],
@@ -195,14 +196,14 @@ def test_all_parts_are_in_the_picture(browser, tmp_path, make, drawn, rows, size
     assert state["said"] == [] and state["note"] == ""
     paths = [path for path, _ in state["seen"]]
     whole = browser.picture()
-    for part in drawn:
+    for part, before in zip(drawn, ["", *drawn]):
         assert any(part in path.split("/") for path in paths), (part, paths)
         # without it the picture is another one
-        browser.run(f"{SHOW}('{part}', false)")
+        browser.run(f"{SHOW}('{before}', '{part}')")
         changed = np.abs(browser.picture() - whole).sum(axis=2) > 30
-        browser.run(f"{SHOW}('{part}', true)")
         # a contact point on a phone has some four pixels across
         assert changed.sum() > 10, f"{part} is not to be seen"
+    browser.run(f"{SHOW}('{drawn[-1]}', '')")
     assert (browser.picture() == whole).all()
     bodies = {item.name for item in scene.visual_model.geometryObjects}
     assert bodies <= {path.split("/")[-1] for path in paths}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from scipy.optimize import brentq
 
 import pincontact as pc
@@ -152,6 +153,7 @@ def test_balls_start_open_wherever_they_are_beside_an_arch(options):
     rng, radius, nowhere = np.random.default_rng(0), 0.03, 0
     u = np.linspace(-math.pi, math.pi, 20_001)
     arch = 0.05 * np.column_stack([u + np.sin(u), 1.0 - np.cos(u), 0.0 * u])
+    some = scipy.spatial.cKDTree(arch[::20])
     for _ in range(30):
         model = free_ball(radius, pin.SE3.Identity())
         model.gravity.setZero()
@@ -161,11 +163,11 @@ def test_balls_start_open_wherever_they_are_beside_an_arch(options):
         place, aim = 0.5 * rng.normal(size=3), arch[rng.integers(5_000, 15_000)]
         # more than the ball's radius away from all of it
         place *= max(1.0, 0.3 / np.linalg.norm(place))
-        ways = np.linalg.norm(place + np.linspace(0.0, 1.0, 2001)[:, None, None] * (aim - place) - arch[::20], axis=2)
-        first = int(np.argmax(ways.min(axis=1) < radius))
+        ways, nearest = some.query(place + np.linspace(0.0, 1.0, 2001)[:, None] * (aim - place))
+        first = int(np.argmax(ways < radius))
         state = scene.initial_state([*place, 0, 0, 0, 1], [*(aim - place), 0, 0, 0], free=["c"])
         nowhere += not state.candidates["c"]
-        if not 5 < int(np.argmin(ways[first])) < len(arch[::20]) - 6:
+        if not 5 < nearest[first] < some.n - 6:
             # it comes to an end first
             continue
         run = pc.simulate(scene, state, 1.0, **options)

@@ -9,14 +9,25 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from ..contours import Circle, Contour, Ellipsoid, HeightField, Plane, Point, Sphere, Torus
-from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, LENGTH, MODE, PATTERN, SAME_PLACE, SIDE, SINGULAR
+from ..contours.base import LINE
+from ..layout import (
+    CLOSED_FORM,
+    DETERMINANT_SIGN,
+    FRICTIONLESS,
+    LENGTH,
+    MODE,
+    PATTERN,
+    SAME_PLACE,
+    SIDE,
+    SINGULAR,
+)
 from ..workspace import Workspace
 from .carriers import ORIGIN
 from .cells import (
@@ -172,7 +183,7 @@ class NearestSearch:
         one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.core, self.divided))
         self._bends = one, two
         self.bend = self._bend(math.inf)
-        self._single = system.alone(c)
+        self._single, self.crosses = system.alone(c), crosses_anywhere(system, c)
         # time and poses of the last search, and what it found, candidates where somebody has asked for them
         self._state: tuple[float, bytes] | None = None
         self._survey: _Survey
@@ -235,7 +246,15 @@ class NearestSearch:
         found = [one for one in every if not any(np.abs(one.points - place).max() < same for place in taken)]
         places = [pair[own] for pair in taken]
         elsewhere = self._beside([*places, *(one.points[own] for one in found[:1])])
+        if self.crosses:
+            distance = self._of(found, self._beside(places))
+            return Nearest(found, distance, max(distance, self._of(found[1:], elsewhere)), is_around)
         return Nearest(found, self._beside(places), elsewhere, is_around)
+
+    def _of(self, found: list[Candidate], apart: float) -> float:
+        """How far in m curves that cross are apart where these are all their stationary points, which is more than the
+        `apart` of cells where they are near."""
+        return max(apart, min((abs(one.gap) for one in found), default=self.neighbourhood))
 
     def distance(self, t: float, taken: Sequence[np.ndarray]) -> float:
         """`Nearest.distance` alone, for which no stationary points are looked for."""
@@ -374,6 +393,9 @@ class NearestSearch:
         sides = (0, side) if system.contacts[c].body1.contour.dimension > 0 else (-1, 0, 1)
         every, statuses = stationary_points(single, t, places, [1] * n)
         found = [one for one in every if one.side in sides]
+        if self.crosses:
+            # which their shapes do not decide: that on which gaps are measured
+            found = [replace(one, side=side) for one in found]
         found.sort(key=lambda one: float(np.linalg.norm(one.points[1] - one.points[0])))
         return found, SINGULAR in statuses
 
@@ -393,9 +415,18 @@ def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole
 
 
 def is_searched(system: Workspace, c: int) -> bool:
-    """Whether the nearest points of a contact have to be looked for: where no closed form gives them."""
-    integers = system.contact_int[c]
-    return bool(integers[CLOSED_FORM] == NO_CLOSED_FORM and integers[PATTERN] != CROSSING_CURVES)
+    """Whether the nearest points of a contact have to be looked for: where no closed form gives them, and where lines
+    do not cross, which are near each other at one place only."""
+    contact, integers = system.contacts[c], system.contact_int[c]
+    are_straight = contact.body1.contour.kind == contact.body2.contour.kind == LINE
+    crosses = integers[PATTERN] == CROSSING_CURVES and are_straight
+    return bool(integers[CLOSED_FORM] == NO_CLOSED_FORM and not crosses)
+
+
+def crosses_anywhere(system: Workspace, c: int) -> bool:
+    """Whether contact c is of curves that cross, which may be on one side of each other here and on the other one
+    there: what comes near, at any of its places, is to touch there."""
+    return bool(system.contact_int[c, PATTERN] == CROSSING_CURVES and is_searched(system, c))
 
 
 def _cells(box: list[tuple[float, float]] | tuple[tuple[float, float], ...], counts: tuple[int, ...]):

@@ -168,6 +168,16 @@ class Nearness:
         thick as their radii of curvature say, or it is little for one of them."""
         return max(_THROUGH * self.near, _NEAR * inner_radius(self.system, self.c))
 
+    @property
+    def crosses(self) -> bool:
+        """Whether it is of curves that cross anywhere."""
+        return self.search is not None and self.search.crosses
+
+    @property
+    def beside(self) -> float:
+        """How far in m bodies were apart, at the last search, where they are not followed."""
+        return self.elsewhere if self.is_open else self.distance
+
     def has_the_bodies_of(self, c: int) -> bool:
         """Whether contact c is of the same contours, in the same order and on the same side."""
         own, other, sides = self.contact, self.system.contacts[c], self.system.contact_int[:, SIDE]
@@ -284,6 +294,12 @@ class Nearness:
         """Where bodies are inside each other at the evaluated state, beside the places that are taken; None where they
         are not. They cannot have got there farther than they have moved since the last search, or samples show."""
         assert self.search is not None
+        if self.crosses:
+            moved = self.moved(t)
+            beside = min(self.find(t), key=lambda found: abs(found.gap), default=None)
+            # they may have gone through each other since
+            near = moved if moved < math.inf else float(self.system.gap_accuracy[self.c])
+            return beside if beside is not None and abs(beside.gap) <= near else None
         if not self.search.may_overlap():
             return None
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]

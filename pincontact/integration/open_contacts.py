@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ import pinocchio as pin
 from ..errors import SingularContactError
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, POINT_ON_SPHERE, SPHERE_ON_SPHERE
-from ..geometry.nearest import is_searched
+from ..geometry.nearest import crosses_anywhere, is_searched
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.search import find_candidates, on_side
 from ..geometry.sides import Beside, side_of_crossing
@@ -56,6 +57,8 @@ _TOO_FAR = 2.0
 # How far inside a stationary pair of points may be, as a multiple of how far bodies went since they were apart: where
 # one enters beside it, farther.
 _DEEPER = 4.0
+# Part of how far curves that cross are apart where they are not followed that they may move before that is known anew.
+_FRESH = 0.5
 # Constant steps are looked at beside closed contacts after bodies have moved this part of how far they may near others.
 _LATE = 0.05
 # Constant steps between two looks, at most.
@@ -250,7 +253,7 @@ class OpenContacts:
                     self._search(t, known)
                     distance = self._distance(known, t)
             known.set_out()
-            self._allowed[c] = allowed = max(distance, known.near)
+            self._allowed[c] = allowed = self._allow(t, known, distance)
             free = time_to_cover(distance, speed, acceleration)
             limit = time_to_cover(allowed, speed, acceleration)
             if h > free:
@@ -262,6 +265,20 @@ class OpenContacts:
         longest, self._cut = min(longest, self._hold, self._cut), math.inf
         self.is_near = near
         return longest, near
+
+    def _allow(self, t: float, known: Nearness, distance: float) -> float:
+        """How far in m bodies may move in the next step, which are this far apart. Curves that cross go through each
+        other unseen where they are not followed: there they come no nearer than they are. Raises Stop where they
+        touch there."""
+        if not known.crosses:
+            return max(distance, known.near)
+        if not known.moved(t) < _FRESH * known.beside:
+            self._search(t, known)
+            distance = self._distance(known, t)
+        beside = known.beside - known.moved(t)
+        if beside <= float(self.system.gap_accuracy[known.c]):
+            raise touch_elsewhere(t, known.contact.name)
+        return max(distance, min(known.near, beside)) if known.is_open else beside
 
     def _search(self, t: float, known: Nearness) -> None:
         """Look for nearest points at the accepted state, which is evaluated."""
@@ -301,10 +318,11 @@ class OpenContacts:
             acceleration, distance = SAFETY * self._gravity, self._distance(known, t)
             way = speed * h + 0.5 * acceleration * h * h
             if not known.is_open:
-                if known.moved(t) + way > max(known.distance, _LATE * known.near) and self._touches_twice(t, known):
+                late = 0.0 if known.crosses else _LATE * known.near
+                if known.moved(t) + way > max(known.distance, late) and self._touches_twice(t, known):
                     return 0
                 # near is what that has just found
-                certain = max(known.distance - known.moved(t), _LATE * known.near)
+                certain = max(known.distance - known.moved(t), late)
                 steps = min(steps, max(int(min(time_to_cover(certain, speed, acceleration) / h, MANY_STEPS)), 1))
                 continue
             if known.search is not None and way > distance:
@@ -408,9 +426,11 @@ class OpenContacts:
             speed += drive
             system.contact_real[c, SPEEDING] = abs(speed - self._speeds[c]) / step
             way = max(speed, self._speeds[c]) * step
-            if way > _TOO_FAR * allowed:
+            if way > _TOO_FAR * allowed or (known.crosses and known.moved(t) > known.beside):
                 self._cut = 0.5 * step
                 return False
+            if known.crosses:
+                continue
             if not known.is_open:
                 entered = known.enters(t) if known.moved(t) > known.distance else None
                 if entered is None:
@@ -479,7 +499,10 @@ class OpenContacts:
         have, or will have within h, is nearest; slack: by how much they may be, and it is yet to come, in m."""
         system, known = self.system, self._nearness(c, t)
         candidates, gap = known.find(t), float(system.gaps[c, 0])
-        if system.contact_int[c, BESIDE] != 0:
+        crosses = crosses_anywhere(system, c)
+        if crosses:
+            candidates = self._apart(c, candidates)
+        elif system.contact_int[c, BESIDE] != 0:
             # what is farther than the end is not what bodies come to first
             candidates = [found for found in candidates if found.gap < self._seen(c).distance]
         inside = [found for found in candidates if -entered < found.gap < 0.0]
@@ -493,7 +516,27 @@ class OpenContacts:
             # where it is followed comes before what was found
             return None
         self._put(c, (found.location, found.branch, found.determinant_sign, found.charts))
+        if crosses:
+            numbers = system.contact_real[c]
+            numbers[LAST_NORMAL_X : LAST_NORMAL_X + 3] = numbers[NEXT_NORMAL_X : NEXT_NORMAL_X + 3] = 0.0
+            system.contact_int[c, SIDE] = found.side
         self.relocated.add(c)
+        return found
+
+    def _apart(self, c: int, candidates: list[Candidate]) -> list[Candidate]:
+        """Of the places of crossing curves those where they are apart, or touch: on the side of contact c if that is
+        given, else on either one but where the contact is, lest they go through each other there."""
+        system, side = self.system, int(self.system.contact_int[c, SIDE])
+        same = APART_AT_END * system.contact_real[c, LENGTH]
+        present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
+        found = []
+        for one in candidates:
+            gap = one.gap * one.side * side
+            keeps = system.contacts[c].side is not None or np.linalg.norm(one.point - present) < same
+            if gap >= -same:
+                found.append(replace(one, gap=gap, side=side))
+            elif not keeps:
+                found.append(replace(one, gap=-gap, side=-side))
         return found
 
     def _put(self, c: int, place: Place) -> None:
@@ -549,7 +592,7 @@ class OpenContacts:
         """Whether the bodies of contact c, which is open and has a negative gap at the evaluated state, are inside or
         behind each other: not where all places are other contacts', or they are apart where they are nearest."""
         known = self._nearness(c, t)
-        if known.search is None:
+        if known.search is None or known.crosses:
             return True
         found = known.look(t).candidate
         return found is not None and found.gap < 0.0

@@ -247,8 +247,10 @@ class NearestSearch:
         places = [pair[own] for pair in taken]
         elsewhere = self._beside([*places, *(one.points[own] for one in found[:1])])
         if self.crosses:
+            length = self.system.contact_real[self.c, LENGTH]
+            others = [one for one in found if not one.is_at(found[0], length)]
             distance = self._of(found, self._beside(places))
-            return Nearest(found, distance, max(distance, self._of(found[1:], elsewhere)), is_around)
+            return Nearest(found, distance, max(distance, self._of(others, elsewhere)), is_around)
         return Nearest(found, self._beside(places), elsewhere, is_around)
 
     def _of(self, found: list[Candidate], apart: float) -> float:

@@ -63,6 +63,8 @@ _FLOOR = 8.0 * float(np.finfo(float).eps)
 _RESTART, _RESTART_SEEDS = 4.0, 10.0
 # Crossings in a row that true steps may deny before one is believed: an event function that jumps has no zero.
 _DOUBTS = 3
+# Rounds, at most, in which contacts of the same contours may leave their places to each other.
+_RELOCATIONS = 4
 # What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves: a dozen
 # evaluations in each, so that a minute at rest costs less than a tenth of a second. A pulse that lasts as long is met
 # by several of them.
@@ -313,8 +315,13 @@ class Driver:
         if not may_touch and task == INTEGRATE_ONE_STEP and self.transitions.stay_apart(t):
             opened.is_near = False
             return INTEGRATE_APART
-        longest, near = opened.begin_step(t, longest)
-        self._follow_relocated(t)
+        for _ in range(_RELOCATIONS):
+            allowed, near = opened.begin_step(t, longest)
+            if not opened.relocated:
+                break
+            # others may be where these were
+            self._follow_relocated(t)
+        longest = min(longest, allowed)
         scalars.max_step = max(min(self._max_step, longest), _RESTART * scalars.floor)
         return INTEGRATE_ONE_TRIAL if near else task
 

@@ -273,6 +273,10 @@ class Nearness:
         (self.rotation, self.centre), self.time = self.search.pose(), t
         self.distance, self.elsewhere = distance, elsewhere
 
+    def forget(self) -> None:
+        """What was known is of fewer places than there are: others have left theirs."""
+        self.rotation = None
+
     def order(self, found: Candidate, t: float, h: float, slack: float) -> tuple[float, float]:
         """By which candidates at the evaluated state are compared, see `touching_order`."""
         return touching_order(found.gap, self._gap_rate(found, t) if h > 0.0 else 0.0, h, slack)

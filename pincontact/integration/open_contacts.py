@@ -521,6 +521,10 @@ class OpenContacts:
             numbers[LAST_NORMAL_X : LAST_NORMAL_X + 3] = numbers[NEXT_NORMAL_X : NEXT_NORMAL_X + 3] = 0.0
             system.contact_int[c, SIDE] = found.side
         self.relocated.add(c)
+        for i in of_same_contours(system, c):
+            # nobody is any more where it was
+            if (i, True) in self._known:
+                self._known[i, True].forget()
         return found
 
     def _apart(self, c: int, candidates: list[Candidate]) -> list[Candidate]:

@@ -183,6 +183,8 @@ class NearestSearch:
         one, two = (bend(contour, _instant(contour, t)) for contour in (self.whole.core, self.divided))
         self._bends = one, two
         self.bend = self._bend(math.inf)
+        # sine of the angle at which curves cross
+        self._across = 1.0
         self._single, self.crosses = system.alone(c), crosses_anywhere(system, c)
         # time and poses of the last search, and what it found, candidates where somebody has asked for them
         self._state: tuple[float, bytes] | None = None
@@ -214,7 +216,7 @@ class NearestSearch:
     @property
     def neighbourhood(self) -> float:
         """Radius in m around a nearest point within which there is no other one."""
-        return _NEIGHBOURHOOD * self.bend
+        return _NEIGHBOURHOOD * self.bend * self._across
 
     def on_divided(self, point: np.ndarray) -> np.ndarray:
         """A point (3,) in the world in the divided contour's frame, as last evaluated."""
@@ -244,19 +246,34 @@ class NearestSearch:
             self._found = self._find(t)
         every, is_around = self._found
         found = [one for one in every if not any(np.abs(one.points - place).max() < same for place in taken)]
+        if self.crosses:
+            self._across = min((self._sine(t, one) for one in every[:1]), default=1.0)
         places = [pair[own] for pair in taken]
         elsewhere = self._beside([*places, *(one.points[own] for one in found[:1])])
         if self.crosses:
             length = self.system.contact_real[self.c, LENGTH]
             others = [one for one in found if not one.is_at(found[0], length)]
-            distance = self._of(found, self._beside(places))
-            return Nearest(found, distance, max(distance, self._of(others, elsewhere)), is_around)
+            gaps = [float(np.linalg.norm(place[1] - place[0])) for place in taken]
+            distance = self._apart(found, self._beside(places), gaps)
+            gaps += [abs(one.gap) for one in found[:1]]
+            return Nearest(found, distance, max(distance, self._apart(others, elsewhere, gaps)), is_around)
         return Nearest(found, self._beside(places), elsewhere, is_around)
 
-    def _of(self, found: list[Candidate], apart: float) -> float:
-        """How far in m curves that cross are apart where these are all their stationary points, which is more than the
-        `apart` of cells where they are near."""
-        return max(apart, min((abs(one.gap) for one in found), default=self.neighbourhood))
+    def _sine(self, t: float, one: Candidate) -> float:
+        """Of the angle at which curves cross at a candidate: the smaller it is, the nearer is the next place at which
+        they do."""
+        contact, ways = self.system.contacts[self.c], []
+        for i, contour in enumerate((contact.body1.contour, contact.body2.contour)):
+            slope = contour.evaluate(one.location[2 * i : 2 * i + 1].tolist(), t, one.charts[i])[1]
+            ways.append(self.system.frames[2 * self.c + i, :3] @ slope / np.linalg.norm(slope))
+        return float(np.linalg.norm(np.cross(*ways)))
+
+    def _apart(self, found: list[Candidate], apart: float, gaps: list[float]) -> float:
+        """How far in m curves that cross are apart beside places with these gaps, where these are all others that there
+        are: more than cells tell, `apart`, where they are near; and no more than it takes until others may be there
+        beside those places."""
+        distance = max(apart, min((abs(one.gap) for one in found), default=self.neighbourhood))
+        return min(distance, max(self.neighbourhood, min(gaps, default=math.inf)))
 
     def distance(self, t: float, taken: Sequence[np.ndarray]) -> float:
         """`Nearest.distance` alone, for which no stationary points are looked for."""
@@ -286,7 +303,7 @@ class NearestSearch:
         whole, cells, (rotation, centre) = self.whole, self._cells, self.pose()
         # in one step a body meets nothing that is farther off than it is large; a point, than a part of the ground is
         large = max(whole.size, _SEEN * self.system.contact_real[self.c, LENGTH])
-        beyond = min(self.neighbourhood, large)
+        beyond = min(_NEIGHBOURHOOD * self.bend, large)
         cells.numbers["time"], cells.numbers["beyond"] = t, beyond
         cells.numbers["around"], cells.numbers["finest"] = whole.radius, FINEST * self.bend
         cells.box[: self.divided.dimension] = self._box(t, centre, beyond)

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from shared import one_body
 from test_inverse import bicycle
 
 import pincontact as pc
@@ -266,3 +267,17 @@ def test_moving_start_without_symmetries():
     with pytest.raises(pc.StateError, match="no symmetry is seen: find_equilibrium finds where it is at rest"):
         pc.find_steady_motion(pc.Scene(model), [0.1], [2.0])
     assert abs(pc.find_steady_motion(pc.Scene(model), [0.1], [0.0]).state.q[0]) < 1e-9
+
+
+@pytest.mark.parametrize("side", [None, 1])
+def test_a_solution_inside_bodies_is_none(side):
+    """The search for where an ellipsoid stands on a saddle leads through the ground, to where it would hang below."""
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)))
+    scene, axes = pc.Scene(model), np.array([0.1, 0.15, 0.2])
+    turned = pin.exp3(1.2 * np.random.default_rng(1).normal(size=3))
+    scene.add_contour("ellipsoid", pc.Ellipsoid(*axes), "body")
+    scene.add_contour("saddle", pc.HeightField(lambda x, y: 0.5 * x * x - 0.5 * y * y))
+    scene.add_contact("c", "ellipsoid", "saddle", side=side)
+    start = [0.0, 0.0, float(np.linalg.norm(axes * turned[2])), *pin.Quaternion(turned).coeffs()]
+    with pytest.raises(pc.SolverError, match="'c' are inside each other"):
+        pc.find_equilibrium(scene, start)

@@ -128,6 +128,29 @@ def test_events_and_outputs_in_slow_slip():
     np.testing.assert_allclose(watched.q, run.q, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("force", [-3.0, -1.0], ids=["turns round", "stops"])
+def test_a_joint_in_dry_friction_beside_slow_slip(force):
+    """It comes to rest at an instant of its own within the long steps of a slow slip; its friction kept its sign then
+    and drove it."""
+    drawn_scene, drawn_state, drawing = drawn(1e-3)
+    # of the slider there are such steps from 0.57 to 0.58 s
+    model, dry, rests, duration = drawn_scene.model, 2.0, 0.578, 1.0
+    speed = (dry - force) * rests
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "beside")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.upperDryFrictionLimit[-1], model.lowerDryFrictionLimit[-1] = dry, -dry
+    scene = pc.Scene(model)
+    point, ground = scene.add_contour("point", pc.Point(), "slider"), scene.add_contour("ground", pc.Plane())
+    scene.add_contact("c", point, ground, friction=pc.Coulomb(MU))
+    state = scene.initial_state([*drawn_state.q, 0.0], [*drawn_state.v, speed])
+    run = pc.simulate(scene, state, duration, control=lambda t, q, v: np.r_[drawing(t, q[:3], v[:3]), force], **TIGHT)
+    assert run.status == 0, run.message
+    back = max(-force - dry, 0.0)
+    expected = 0.5 * speed * rests - 0.5 * back * (duration - rests) ** 2
+    assert run.q[-1, 3] == pytest.approx(expected, abs=1e-9)
+    assert [event.time for event in run.events if event.joint == "beside"] == pytest.approx([rests], abs=1e-9)
+
+
 def block_on_a_ramp(excess):
     """A block on four feet whose ramp is `excess` beyond the angle of friction, along no edge of it; its slope."""
     mass = 2.0

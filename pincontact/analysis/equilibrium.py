@@ -12,6 +12,9 @@ from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
+from ..geometry.carriers import ORIGIN
+from ..geometry.search import find_candidates
+from ..layout import CHART, LENGTH, SIDE, UNILATERAL
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -29,6 +32,8 @@ _FLAT = 1e-8
 _STALLED = 1e-9
 # Nor is a step felt that is less than this part of the unknowns.
 _UNFELT = 1e-15
+# Places nearer than this part of a contact's length are the same.
+_SAME = 1e-6
 # Configuration, velocity, shares of symmetries in the motion, torques of the actuation.
 Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
@@ -112,7 +117,7 @@ def find_equilibrium(
     SingularContactError
         Where contacts degenerate at q0.
     SolverError
-        Where no equilibrium is found; the message has the residual.
+        Where no equilibrium is found; the message has the residual, or the contact whose bodies are inside each other.
 
     Examples
     --------
@@ -258,8 +263,8 @@ def _search(
     point, iterations = _solve(residual, bound, (moved, closed, instant.follow), point, steps)
     size = float(np.abs(residual(point)).max(initial=0.0))
     most = tolerance * max(1.0, float(np.abs(instant.system.free_acceleration).max(initial=0.0)))
+    what = "steady motion" if moves else "equilibrium"
     if not size <= most:
-        what = "steady motion" if moves else "equilibrium"
         raise SolverError(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
             f"(tolerance {most:.3g}); all contacts stay closed, and tau= or actuation= are torques that help to hold it"
@@ -268,7 +273,30 @@ def _search(
     check_joint_limits(instant.system.limits, q)
     instant.tau = instant.tau + holding @ point[3]
     state = instant.state(q, v)
+    _check_sides(instant, what)
     return SteadyMotion(state, instant.tau, instant.forces(), size, instant.holds(), iterations)
+
+
+def _check_sides(instant: Instant, what: str) -> None:
+    """Refuse what touches on the other side: a search may go through bodies."""
+    system = instant.system
+    for c in np.flatnonzero(system.contact_int[: system.nc, UNILATERAL]).tolist():
+        single, length = system.alone(c), system.contact_real[c, LENGTH]
+        single.q[:], single.v[:] = system.q, system.v
+        sides = slice(2 * c, 2 * c + 2)
+        points = system.frames[sides, ORIGIN] + system.derivatives[sides, 0]
+        # coordinates of other charts are no guess
+        is_known = not system.side_int[sides, CHART].any()
+        try:
+            found = find_candidates(single, instant.t, system.location[c].copy() if is_known else np.full(4, np.nan))
+        except SingularContactError:
+            continue
+        here = [one.side for one in found if np.abs(one.points - points).max() < _SAME * length]
+        if here and here[0] * system.contact_int[c, SIDE] < 0:
+            raise SolverError(
+                f"no {what} was found near this configuration: in that to which the search led, the bodies of contact "
+                f"{system.contacts[c].name!r} are inside each other; start elsewhere"
+            )
 
 
 def _solve(

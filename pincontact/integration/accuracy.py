@@ -50,6 +50,9 @@ _AT_ONCE, AT_ONCE_ROUND_OFF = 1e-3, 100.0
 # speed.
 _RESOLVED_VISCOUS = 1e-3
 
+# Round-off of speeds, against 1 or the largest velocity.
+_SPEED_ROUND_OFF = 1e-15
+
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
 # there.
 _NEXT_TO_NOTHING = 1e-6
@@ -128,6 +131,11 @@ def next_to_nothing(system: RunSystem, i: int, kind: int) -> float:
 def rest_speed(system: System) -> float:
     """Slip slower than this, in m/s, counts as rest."""
     return REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+
+
+def speed_round_off(system: System) -> float:
+    """Speeds below this, in m/s or rad/s, have no sign."""
+    return _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
 
 def slow_slips(system: System) -> list[int]:

@@ -34,7 +34,7 @@ from ..layout import (
     SCAN_ROOM,
     SPEED_EVENT,
 )
-from .accuracy import gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed
+from .accuracy import gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed, speed_round_off
 from .crossings import CROSSES, ENDS, LEFT_OUT, MINIMUM, NOT_SOUGHT, UNKNOWN, find_crossings, find_minima
 from .ends import at_end, deepest_at_end, passes_by
 from .open_contacts import OpenContacts
@@ -60,8 +60,6 @@ _SLOPE_OVER = 1e-4
 _FURTHEST = 1.1
 # Ways are zero that are this part of what open gaps may be below it.
 _CLOSE = 0.1
-# Speeds below this, against 1 or the largest velocity, have no sign.
-_SPEED_ROUND_OFF = 1e-15
 
 
 class Crossing(NamedTuple):
@@ -154,7 +152,7 @@ class EventLocator:
         slack[:n, GAP_EVENT] = gap_resolution(system) + self._depths
         # the upper end of a joint coordinate, and the end of a domain
         slack[:n, DOMAIN_EVENT] = slack[:n, GAP_EVENT]
-        slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+        slack[:n, SPEED_EVENT] = speed_round_off(system)
 
     def _with_lowest(
         self, t: float, step: float, places: list[float], values: np.ndarray

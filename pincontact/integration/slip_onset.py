@@ -40,11 +40,12 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
+    SPEED_EVENT,
     START_SPEED,
     STICK,
     TANGENTS,
 )
-from .accuracy import gap_rate, held_up, rest_speed
+from .accuracy import gap_rate, held_up, rest_speed, speed_round_off
 from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
@@ -398,8 +399,8 @@ class SlipOnset:
         return t
 
     def _until_event(self, t: float, step: float) -> float:
-        """The part of the last trial step, which has been interpolated, in which nothing opens, closes or begins to
-        slip, within the errors of gaps and forces; 1 where that is all of it."""
+        """The part of the last trial step, which has been interpolated, in which nothing opens, closes, begins to slip
+        or comes to rest, within the errors of gaps and forces; 1 where that is all of it."""
         system, n = self.system, self.system.items
         happens, lowest = self.rk.alarm, system.lowest[:n]
         if happens:
@@ -410,6 +411,8 @@ class SlipOnset:
             allowed[:, DOMAIN_EVENT] = system.gap_accuracy
             force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
             allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
+            # slips with prescribed directions are looked at along these
+            allowed[system.contact_int[:n, FROZEN] == 0, SPEED_EVENT] = speed_round_off(system)
             happens = not (lowest >= -allowed).all()
         if not happens:
             foreseen, item, kind = self._foreseen

@@ -198,3 +198,65 @@ def test_a_box_slides_over_tables_in_space(gap, yaw, way, mu, method):
     expected = [-0.3 + far * np.cos(way), far * np.sin(way), 0.05]
     np.testing.assert_allclose(run.q[-1, :3], expected, atol=1e-9)
     np.testing.assert_allclose(pin.XYZQUATToSE3(run.q[-1]).rotation, pose.rotation, atol=1e-9)
+
+
+def threads(centre: np.ndarray, axes: np.ndarray, radius: float, circle) -> int:
+    """How often a curve goes through the disk in a circle's plane, each way counted against the other one: a line along
+    x through the origin (circle: None), or another circle (centre, axes, radius)."""
+    if circle is None:
+        ahead = axes[0, 2]
+        place = centre @ axes[:, 2] / ahead * np.array([1.0, 0.0, 0.0]) - centre
+        return int(np.sign(ahead)) if np.linalg.norm(place) < radius else 0
+    other, ways, size = circle
+    height, (a, b) = (other - centre) @ axes[:, 2], size * ways[:, :2].T @ axes[:, 2]
+    top, most, found = float(np.arctan2(b, a)), float(np.hypot(a, b)), 0
+    if abs(height) >= most:
+        return 0
+    for turn, rises in ((-np.arccos(-height / most), 1), (np.arccos(-height / most), -1)):
+        point = other + size * (np.cos(top + turn) * ways[:, 0] + np.sin(top + turn) * ways[:, 1])
+        found += rises * (np.linalg.norm(point - centre) < radius)
+    return found
+
+
+def thrown_ring(seed: int, on_rod: bool):
+    """A ring without friction that falls, and turns, about a rod without ends or a fixed ring, or beside: a run's scene
+    and state, and what tells how it goes through that."""
+    rng = np.random.default_rng(seed)
+    radius, size, swapped = *rng.uniform(0.1, 0.2, 2), bool(seed & 2)
+    model = free_body(np.array([0.5, 0.5, 1.0]) * radius**2)
+    scene = pc.Scene(model)
+    scene.add_contour("ring", pc.Circle(radius), "body")
+    fixed = pin.SE3.Identity() if on_rod else pin.SE3(pin.exp3(rng.normal(size=3)), np.zeros(3))
+    scene.add_contour("fixed", pc.Line() if on_rod else pc.Circle(size), placement=fixed)
+    names = [f"c{i}" for i in range(2 if on_rod else 3)]
+    for name in names:
+        scene.add_contact(name, *(("fixed", "ring") if swapped else ("ring", "fixed")), restitution=1.0)
+    axes = pin.utils.rotate("y", 0.5 * np.pi) @ pin.exp3(0.4 * rng.normal(size=3))
+    # half of them are linked
+    place = np.array([0.0, *rng.uniform(-0.4, 0.4, 2) * radius]) if on_rod else fixed.rotation @ [size, 0.0, 0.0]
+    place = place + np.array([0.0, 0.0, 0.0 if seed % 2 else radius + size + 0.02])
+    state = scene.initial_state(
+        pin.SE3ToXYZQUAT(pin.SE3(axes, place)), [*(0.3 * rng.normal(size=3)), *(2.0 * rng.normal(size=3))], free=names
+    )
+
+    def links(q) -> int:
+        pose = pin.XYZQUATToSE3(q)
+        other = None if on_rod else (fixed.translation, fixed.rotation, size)
+        return threads(pose.translation, pose.rotation, radius, other)
+
+    return scene, state, links
+
+
+@pytest.mark.parametrize("method", METHODS, ids=["DOP853", "Moreau"])
+@pytest.mark.parametrize("on_rod", [True, False], ids=["on a rod", "in a ring"])
+def test_rings_do_not_go_through_what_they_hang_on(on_rod, method):
+    """They may touch it anywhere, where nobody has followed them: those that are linked stay so, others do not become
+    so."""
+    touched = 0
+    for seed in range(12):
+        scene, state, links = thrown_ring(seed, on_rod)
+        run = pc.simulate(scene, state, 0.4, t_eval=np.linspace(0.0, 0.4, 401), **method)
+        assert run.status == 0, (seed, run.message)
+        assert {links(q) for q in run.q} == {links(state.q)}, seed
+        touched += bool(run.events)
+    assert touched >= 10

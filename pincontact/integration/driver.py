@@ -316,12 +316,11 @@ class Driver:
             opened.is_near = False
             return INTEGRATE_APART
         for _ in range(_RELOCATIONS):
-            allowed, near = opened.begin_step(t, longest)
+            longest, near = opened.begin_step(t, longest)
             if not opened.relocated:
                 break
             # others may be where these were
             self._follow_relocated(t)
-        longest = min(longest, allowed)
         scalars.max_step = max(min(self._max_step, longest), _RESTART * scalars.floor)
         return INTEGRATE_ONE_TRIAL if near else task
 

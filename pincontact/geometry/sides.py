@@ -6,6 +6,7 @@ What the contour would go on as says nothing of that; the contour itself does, w
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -18,13 +19,15 @@ from .carriers import OMEGA, ORIGIN, VELOCITY
 from .location import NO_CLOSED_FORM
 from .nearest import least_whole
 from .patterns import ON_SURFACE, PLANAR
-from .search import sample
+from .search import Candidate, sample
 from .single_touch import middle_of, reach_of
 
 # Descents from the nearest sample to the nearest point: it is as near to it as rounding has it after a few, or almost.
 _DESCENTS = 30
 # A contact is nowhere near an end if it is so many times farther from it than the body: or on the other side of an arc.
 _FAR = 2.0
+# Curves that are this part of a contact's length apart may touch.
+_TOUCHES = 1e-6
 
 
 class Beside:
@@ -140,6 +143,22 @@ def side_of_crossing(system: Workspace, c: int) -> int:
             # e_3 leads from body 1 to body 2
             towards += (-1.0, 1.0)[i] * float(system.basis[c, 2] @ way)
     return 0 if abs(towards) <= SAME_PLACE * length else side if towards > 0.0 else -side
+
+
+def crossings_apart(system: Workspace, c: int, candidates: list[Candidate]) -> list[Candidate]:
+    """Of the places at which curves cross those where they are apart, or touch: on the side of contact c if that is
+    given, else on either one but where the contact is, lest they go through each other there."""
+    side, same = int(system.contact_int[c, SIDE]), _TOUCHES * system.contact_real[c, LENGTH]
+    present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
+    apart = []
+    for one in candidates:
+        gap = one.gap * one.side * side
+        keeps = system.contacts[c].side is not None or np.linalg.norm(one.point - present) < same
+        if gap >= -same:
+            apart.append(replace(one, gap=gap, side=side))
+        elif not keeps:
+            apart.append(replace(one, gap=-gap, side=-side))
+    return apart
 
 
 def side_of_all(single: Workspace, t: float) -> int:

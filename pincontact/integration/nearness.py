@@ -127,6 +127,8 @@ class Nearness:
         self.is_driven = bool(self.changing) or any(body.motion is not None for body in bodies)
         if search is None and is_searched(system, c) and any(np.isfinite(shape.domain).all() for shape in (one, two)):
             self.search = NearestSearch(system, c, t)
+        # whether it is of curves that may cross in several places
+        self.crosses = self.search is not None and self.search.crosses
         if self.search is not None:
             self.side, self.whole = self.search.side, self.search.whole
         elif (found := least_whole((one, two), t)) is not None:
@@ -167,11 +169,6 @@ class Nearness:
         """How far in m bodies may move in a step without going through each other where they are near: both are as
         thick as their radii of curvature say, or it is little for one of them."""
         return max(_THROUGH * self.near, _NEAR * inner_radius(self.system, self.c))
-
-    @property
-    def crosses(self) -> bool:
-        """Whether it is of curves that cross anywhere."""
-        return self.search is not None and self.search.crosses
 
     @property
     def beside(self) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,7 @@ from ..geometry.location import NO_CLOSED_FORM, POINT_ON_SPHERE, SPHERE_ON_SPHER
 from ..geometry.nearest import crosses_anywhere, is_searched
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.search import find_candidates, on_side
-from ..geometry.sides import Beside, side_of_crossing
+from ..geometry.sides import Beside, crossings_apart, side_of_crossing
 from ..geometry.single_touch import touches_once
 from ..layout import (
     BENDING,
@@ -501,7 +500,7 @@ class OpenContacts:
         candidates, gap = known.find(t), float(system.gaps[c, 0])
         crosses = crosses_anywhere(system, c)
         if crosses:
-            candidates = self._apart(c, candidates)
+            candidates = crossings_apart(system, c, candidates)
         elif system.contact_int[c, BESIDE] != 0:
             # what is farther than the end is not what bodies come to first
             candidates = [found for found in candidates if found.gap < self._seen(c).distance]
@@ -525,22 +524,6 @@ class OpenContacts:
             # nobody is any more where it was
             if (i, True) in self._known:
                 self._known[i, True].forget()
-        return found
-
-    def _apart(self, c: int, candidates: list[Candidate]) -> list[Candidate]:
-        """Of the places of crossing curves those where they are apart, or touch: on the side of contact c if that is
-        given, else on either one but where the contact is, lest they go through each other there."""
-        system, side = self.system, int(self.system.contact_int[c, SIDE])
-        same = APART_AT_END * system.contact_real[c, LENGTH]
-        present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
-        found = []
-        for one in candidates:
-            gap = one.gap * one.side * side
-            keeps = system.contacts[c].side is not None or np.linalg.norm(one.point - present) < same
-            if gap >= -same:
-                found.append(replace(one, gap=gap, side=side))
-            elif not keeps:
-                found.append(replace(one, gap=-gap, side=-side))
         return found
 
     def _put(self, c: int, place: Place) -> None:

@@ -177,10 +177,10 @@ def feet():
 @pytest.mark.parametrize(
     ("make", "drawn", "rows", "size"),
     [
-        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (640, 480)),
-        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (640, 480)),
-        (wire, ["contours", "trace"], 1, (640, 480)),
-        (feet, ["normal"], 16, (640, 480)),
+        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (800, 600)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
+        (wire, ["contours", "trace"], 1, (800, 600)),
+        (feet, ["normal"], 16, (800, 600)),
         (ball, ["normal", "point"], 1, (390, 844)),
     ],
     ids=["meshes", "primitives", "wire", "32 contacts", "phone"],

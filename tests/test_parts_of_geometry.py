@@ -272,7 +272,8 @@ def test_which_contacts_are_searched():
     for shape, ground, wanted in (
         (pc.Sphere(0.1), pc.Plane(), False),
         (pc.Sphere(0.1), pc.Torus(0.6, 0.2), True),
-        (pc.Circle(0.1), pc.Helix(0.6, 0.2), False),
+        (pc.Circle(0.1), pc.Helix(0.6, 0.2), True),
+        (pc.Line((-0.1, 0.1)), pc.Line(), False),
         (pc.Point(), pc.Helix(0.6, 0.2), True),
     ):
         assert nearest.is_searched(system_of(shape, ground, far), 0) == wanted

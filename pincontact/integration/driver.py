@@ -526,8 +526,8 @@ class Driver:
         return after, True
 
     def _stays_within(self, crossing: Crossing) -> bool:
-        """Whether a closed contact that was seen at an end of a contour is within in the projected state: what grazes
-        an end does not come over it, whatever the errors of steps are."""
+        """Whether a closed contact that was seen to reach the end of a contour has not done so in the projected state:
+        what grazes an end does not come over it, whatever the errors of steps are."""
         c, kind, system = crossing.c, crossing.kind, self.system
         closed = kind == DOMAIN_EVENT and c < system.nc and system.contact_int[c, MODE] != FREE
         return bool(closed and crossing.theta > 0.0 and system.contact_real[c, DOMAIN] > at_end(system))

@@ -67,6 +67,17 @@ def _way_at(start, later, part):
     return later if start == math.inf or later == math.inf else start + (later - start) * part
 
 
+@kernel
+def _known_to(system, step, c):
+    """How far in m places at contact c are known within the step, in which forces still may change: accelerations of
+    the size of gravity, or of what accelerates its bodies."""
+    square, n = 0.0, system.sizes.nv
+    for i in range(3):
+        square += (inner(system.rows[c, i], step.transported_trend, n) + system.bias[c, i]) ** 2
+    bend = 0.5 * step.numbers.h**2 * max(math.sqrt(square), norm(system.gravity))
+    return APART_AT_END * system.contact_real[c, LENGTH] + bend
+
+
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, INTEGER, REAL, when=CALLED)
 def passes_by(system, step, c, part):
     """Whether contact c is at an end after this part of the time between the step's start and the evaluated state, as
@@ -74,7 +85,7 @@ def passes_by(system, step, c, part):
     numbers, start, ways = system.contact_real, step.start_domain, step.touch_ways
     for i in range(system.sizes.nc):
         ways[i] = _way_at(start[i], numbers[i, DOMAIN], part)
-    known_to = APART_AT_END * numbers[c, LENGTH]
+    known_to = _known_to(system, step, c)
     if not abs(ways[c]) <= known_to:
         return 0
     rates, near = as_array(step.start_normal)[:, 0], _near(system, step, c)

@@ -15,7 +15,7 @@ from pincontact.contours.charts import convert_chart
 from pincontact.errors import PatternError
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
-from pincontact.geometry.search import _within, find_candidates, sample
+from pincontact.geometry.search import _within, find_candidates, sample, spaced
 from pincontact.layout import LAST_NORMAL_X, LOCATION_FAILED, OK, SIDE
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -380,3 +380,14 @@ def test_what_is_inside_between_places_that_are_not():
     # a vertical distance is seen along the normal, to second order in it over the radius of curvature
     depth = (z[lowest] - 0.05 * math.sin(4.0 * math.pi * x[lowest])) / math.hypot(1.0, slope)
     assert depth < -3e-3 and min(gaps) == pytest.approx(depth, rel=0.05)
+
+
+@pytest.mark.parametrize(("distance", "count"), [(0.3, 8), (0.9, 8), (0.0, 600), (10.0, 3)])
+def test_points_that_are_apart(distance, count):
+    """The first ones in order, as one after the other tells; few are apart, and the last of them come late."""
+    rng = np.random.default_rng(5)
+    points, order, taken = rng.uniform(size=(1000, 3)), rng.permutation(1000)[:700], []
+    for i in order.tolist():
+        if len(taken) < count and all(np.linalg.norm(points[i] - points[j]) > distance for j in taken):
+            taken.append(i)
+    assert list(spaced(points, order, distance, count)) == taken

@@ -25,6 +25,8 @@ _SURFACE_SAMPLES = (61, 31)
 # So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
 # the contact's length; each sample of body 1 with so many neighbours.
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
+# So many pairs are looked through at a time for some that are apart.
+_PART = 256
 # Unbounded contours are sampled as far as the bodies' distance plus so many of their sizes; samples keep off the ends
 # of domains by this part of them.
 _WINDOW, _INSET = 2.0, 1e-3
@@ -230,12 +232,18 @@ def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
 
 def spaced(points: np.ndarray, order: np.ndarray, distance: float, count: int) -> Iterator[int]:
     """The first points in this order, at most so many, each farther than that from those before."""
-    for _ in range(count):
-        if not order.size:
-            return
-        first = int(order[0])
-        yield first
-        order = order[np.linalg.norm(points[order] - points[first], axis=1) > distance]
+    taken: list[np.ndarray] = []
+    # part by part: the first parts are mostly enough
+    for start in range(0, len(order), _PART):
+        left = order[start : start + _PART]
+        for point in taken:
+            left = left[np.linalg.norm(points[left] - point, axis=1) > distance]
+        while left.size:
+            if len(taken) == count:
+                return
+            yield int(left[0])
+            taken.append(points[left[0]])
+            left = left[np.linalg.norm(points[left] - taken[-1], axis=1) > distance]
 
 
 def ends_within(contour: Contour, a: int, t: float, place: np.ndarray, radius: float) -> tuple[float, float]:

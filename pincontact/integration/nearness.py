@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from ..contours.base import F_T, F_TT, LINE, PLANE
 from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
@@ -285,10 +286,10 @@ class Nearness:
         values = contour.evaluate(found.location[2 : 2 + contour.dimension].tolist(), t, found.charts[1])
         shape = values @ frames[1, :3].T
         across = shape[2] if contour.dimension == 2 else frames[1, :3, 2]
-        normal = -float(system.contact_int[self.c, SIDE]) * np.cross(shape[1], across)
+        normal = -float(system.contact_int[self.c, SIDE]) * (pin.skew(shape[1]) @ across)
         rate = shape[F_T] if contour.time_dependent else np.zeros(3)
         for frame, point, sign in zip(frames, found.points, (-1.0, 1.0)):
-            rate = rate + sign * (frame[VELOCITY] + np.cross(frame[OMEGA], point - frame[ORIGIN]))
+            rate = rate + sign * (frame[VELOCITY] + pin.skew(frame[OMEGA]) @ (point - frame[ORIGIN]))
         return float(normal @ rate / np.linalg.norm(normal))
 
     def enters(self, t: float) -> Candidate | None:

@@ -22,7 +22,7 @@ from pincontact.workspace import Layout, _by_name
 
 @functools.cache
 def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Callable[..., Any]:
-    """A function that calls the part, compiled like an entry kernel but not cached, and with little optimisation, which
+    """A function that calls the part, compiled like an entry kernel but not cached, and without optimisation, which
     is most of the time that compilation takes. layout: that of the workspace which the part's first argument is, if
     any."""
     if numba.config.DISABLE_JIT:
@@ -42,7 +42,7 @@ def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Calla
     @functools.wraps(part)
     def call(*arguments: Any) -> Any:
         usual, collects = numba.config.OPT, gc.isenabled()
-        numba.config.OPT = type(usual)(1)
+        numba.config.OPT = type(usual)(0)
         # a compiler leaves little garbage, and looking for it takes a tenth of its time
         gc.disable()
         try:

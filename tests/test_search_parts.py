@@ -15,7 +15,7 @@ from pincontact.contours.charts import convert_chart
 from pincontact.errors import PatternError
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
-from pincontact.geometry.search import _within, find_candidates, sample, spaced
+from pincontact.geometry.search import _within, find_candidates, sample, spaced, stationary_points
 from pincontact.layout import LAST_NORMAL_X, LOCATION_FAILED, OK, SIDE
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -44,6 +44,22 @@ def test_a_complete_guess_names_one_of_the_solutions_in_closed_form(shape, groun
         (found,) = find_candidates(system, 0.0, guess)
         assert found.branch == wanted.branch
         assert found.point == pytest.approx(wanted.point, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_starts_in_any_charts(side):
+    """Coordinates in other charts name the same place, and its side, which is that of the near end of an ellipsoid."""
+    system = system_of(pc.Ellipsoid(0.1, 0.2, 0.3), pc.Sphere(1.0), [0.3, 0.5, 0.9, *turned(3)], side=side)
+    every = find_candidates(system, 0.0, UNKNOWN)
+    assert {found.side for found in every} == {1, -1}
+    for wanted in every:
+        for charts in itertools.product((0, 1), repeat=2):
+            start = wanted.location + 1e-3
+            for k, contour in enumerate((pc.Ellipsoid(0.1, 0.2, 0.3), pc.Sphere(1.0))):
+                u = start[2 * k : 2 * k + 2]
+                u[:] = convert_chart(contour.kind, contour.shape_row(), wanted.charts[k], *u, charts[k])
+            (found,), _ = stationary_points(system, 0.0, np.array([start]), [1], charts=charts)
+            assert found.is_at(wanted, 1.0) and found.side == wanted.side
 
 
 def oblique(u, v):

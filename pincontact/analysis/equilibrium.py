@@ -12,9 +12,8 @@ from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
-from ..geometry.carriers import ORIGIN
-from ..geometry.search import find_candidates
-from ..layout import CHART, LENGTH, SIDE, UNILATERAL
+from ..geometry.search import stationary_points
+from ..layout import BRANCH, CHART, SIDE, UNILATERAL
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -32,8 +31,6 @@ _FLAT = 1e-8
 _STALLED = 1e-9
 # Nor is a step felt that is less than this part of the unknowns.
 _UNFELT = 1e-15
-# Places nearer than this part of a contact's length are the same.
-_SAME = 1e-6
 # Configuration, velocity, shares of symmetries in the motion, torques of the actuation.
 Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
@@ -281,18 +278,12 @@ def _check_sides(instant: Instant, what: str) -> None:
     """Refuse what touches on the other side: a search may go through bodies."""
     system = instant.system
     for c in np.flatnonzero(system.contact_int[: system.nc, UNILATERAL]).tolist():
-        single, length = system.alone(c), system.contact_real[c, LENGTH]
+        single, (chart1, chart2) = system.alone(c), system.side_int[2 * c : 2 * c + 2, CHART].tolist()
         single.q[:], single.v[:] = system.q, system.v
-        sides = slice(2 * c, 2 * c + 2)
-        points = system.frames[sides, ORIGIN] + system.derivatives[sides, 0]
-        # coordinates of other charts are no guess
-        is_known = not system.side_int[sides, CHART].any()
-        try:
-            found = find_candidates(single, instant.t, system.location[c].copy() if is_known else np.full(4, np.nan))
-        except SingularContactError:
-            continue
-        here = [one.side for one in found if np.abs(one.points - points).max() < _SAME * length]
-        if here and here[0] * system.contact_int[c, SIDE] < 0:
+        here, _ = stationary_points(
+            single, instant.t, system.location[c : c + 1], [system.contact_int[c, BRANCH]], charts=(chart1, chart2)
+        )
+        if here and here[0].side * system.contact_int[c, SIDE] < 0:
             raise SolverError(
                 f"no {what} was found near this configuration: in that to which the search led, the bodies of contact "
                 f"{system.contacts[c].name!r} are inside each other; start elsewhere"

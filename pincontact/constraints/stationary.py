@@ -37,9 +37,9 @@ COORDINATES, GAP, POINTS, REALS_FOUND = 0, 4, 5, 11
 
 @array_entry(INTEGER, REAL[:, ::1], INTEGER[::1], INTEGER[:, ::1], INTEGER[:, ::1], REAL[:, ::1], when=CALLED)
 def find_stationary(address, starts, branches, charts, integers, reals):
-    """Where Newton's method leads from starts (n, 4), in the first charts, for the only contact of a system whose
-    contours are placed. branches (n,): of closed forms; charts (m, 2): pairs in which a start is tried until it leads
-    anywhere. integers (n, 5), reals (n, 11): of what is found, with a status of `layout`.
+    """Where Newton's method leads from starts (n, 4) for the only contact of a system whose contours are placed.
+    branches (n,): of closed forms; charts (m, 2): pairs in which a start is tried until it leads anywhere; it is in
+    the first. integers (n, 5), reals (n, 11): of what is found, with a status of `layout`.
     """
     system = system_at(address)
     mode = system.contact_int[0, MODE]
@@ -61,8 +61,8 @@ def _find(system, start, charts):
         for side in range(2):
             system.side_int[side, CHART] = charts[k, side]
             for a in range(2 * side, 2 * side + 2):
-                location[a] = start[a] if charts[k, side] == 0 else 0.0
-        if charts[k, 0] == 0 and charts[k, 1] == 0:
+                location[a] = start[a] if charts[k, side] == charts[0, side] else 0.0
+        if k == 0:
             _choose_charts(system)
         status = contact_kinematics(system, 0, False)
         # also where Newton's method ended at a pole

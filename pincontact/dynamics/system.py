@@ -415,15 +415,17 @@ class System(Workspace):
         """Contact coordinates, rows and biases of all contacts at (q, v), open ones too; a status of `layout`."""
         return self.checked(evaluate_state(self.address, t, KINEMATICS_OF_ALL))
 
-    def find_stationary(self, t: float, starts: np.ndarray, branches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where Newton's method leads at (q, v) from contact coordinates (n, 4) of the only contact, with branches (n,)
-        of closed forms: integers and reals, see `constraints.stationary`."""
+    def find_stationary(
+        self, t: float, starts: np.ndarray, branches: np.ndarray, charts: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where Newton's method leads at (q, v) from contact coordinates (n, 4) of the only contact, in these charts
+        and then in others, with branches (n,) of closed forms: integers and reals, see `constraints.stationary`."""
         self.evaluate_kinematics(t)
         bodies = self.contacts[0].body1, self.contacts[0].body2
-        charts = np.array([*product(*(body.contour.charts for body in bodies))], dtype=np.int64)
+        pairs = sorted(product(*(body.contour.charts for body in bodies)), key=lambda pair: pair != charts)
         integers = np.zeros((len(starts), INTEGERS_FOUND), dtype=np.int64)
         reals = np.zeros((len(starts), REALS_FOUND))
-        find_stationary(self.address, starts, branches, charts, integers, reals)
+        find_stationary(self.address, starts, branches, np.array(pairs, dtype=np.int64), integers, reals)
         return integers, reals
 
     @property

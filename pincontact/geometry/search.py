@@ -169,11 +169,16 @@ def on_side(found: list[Candidate], side: int) -> list[Candidate]:
 
 
 def stationary_points(
-    system: Workspace, t: float, starts: np.ndarray, branches: Sequence[int], inside: bool = True
+    system: Workspace,
+    t: float,
+    starts: np.ndarray,
+    branches: Sequence[int],
+    inside: bool = True,
+    charts: tuple[int, int] = (0, 0),
 ) -> tuple[list[Candidate], set[int]]:
-    """What Newton's method finds from starts (n, 4), in the first charts, in their order, and how it went; inside:
-    without what is beyond finite domains. branches: of closed forms."""
-    integers, reals = system.find_stationary(t, starts, np.array(branches, dtype=np.int64))
+    """What Newton's method finds from starts (n, 4), in these charts, in their order, and how it went; inside: without
+    what is beyond finite domains. branches: of closed forms."""
+    integers, reals = system.find_stationary(t, starts, np.array(branches, dtype=np.int64), charts)
     found = (
         Candidate(row[:4], row[4], ints[1], row[5:].reshape(2, 3), ints[2], branch, (ints[3], ints[4]))
         for ints, row, branch in zip(integers.tolist(), reals, branches)

@@ -132,3 +132,20 @@ def test_what_hardly_slides_does_in_short_steps_too(count, over, step):
     assert run.status == 0, run.message
     # the block's acceleration is constant, and the midpoint rule has no error
     assert run.q[-1, 0] == pytest.approx(0.5 * (push - 0.5 * 9.81) * 2e-3**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_outputs_of_feet_at_rest_say_so(seed):
+    """Velocities at rest are round-off, and no slip that passes through zero: forces that hold are inside all cones,
+    also where those of least norm are not."""
+    rng = np.random.default_rng(seed)
+    points = np.array([[x, y, -0.05] for x in (0.1, -0.1) for y in (0.1, -0.1)])
+    scene, push = body_on_feet(points, 0.3), np.array([*rng.uniform(1.6, 1.8, 2), 0.0, 0.2, -0.2, 0.05])
+    state = scene.initial_state([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0], [*rng.uniform(-0.3, 0.3, 2), 0.0, 0.0, 0.0, 0.5])
+    run = pc.simulate(scene, state, 0.5, method="Moreau", dt=1e-3, control=lambda t, q, v: push * np.sin(9.0 * t))
+    assert run.status == 0, run.message
+    rests = np.abs(run.v).max(axis=1) < 1e-12
+    assert rests[300:].all()
+    for track in run.contacts.values():
+        assert (track.mode[rests] == 1).all()
+        assert (track.tangential_force[rests] < 0.3 * track.normal_force[rests]).all()

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import EVENT, FRICTION_EVENT, MODE, NORMAL_EVENT, STICK
+from .accuracy import REST
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -25,6 +26,8 @@ class OutputModes:
 
     def __init__(self, system: System, contact_solver: str = "auto") -> None:
         self._system, self._contact_solver = system, contact_solver
+        # no error is controlled, and velocities at rest are round-off: no slip that passes through zero
+        system.scale[:] = REST
         self._solver: ContactSolver | None = None
 
     def resolve(self, t: float) -> bool:

@@ -62,3 +62,42 @@ def test_any_pair_may_start_open():
     _, state = gears(range(-11, 13))
     assert np.isfinite(state.location).all()
     assert (state.discrete[:, 0] == -1).sum() == 23
+
+
+@pytest.mark.parametrize("friction", [pc.NoSlip(), pc.Coulomb(0.3)])
+@pytest.mark.parametrize("start", [0.0, 0.7, 2.0])
+def test_elliptic_gears_that_cannot_part(start, friction):
+    """Ellipses that turn about their foci: where they roll, the normal of their contact keeps the same velocity as its
+    tangent, and says so in the middle of steps only to their square. Their ratio is that of the distances from the foci
+    to where they touch."""
+    a, b = 0.1, 0.08
+    c = math.sqrt(a * a - b * b)
+    model, inertias = pin.Model(), (0.02, 0.03)
+    for name, x, inertia in (("first", 0.0, inertias[0]), ("second", 2.0 * a, inertias[1])):
+        place = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+        joint = model.addJoint(0, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), inertia * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame(f"{name} gear", joint, pin.SE3.Identity(), 0)
+    scene, focus = pc.Scene(model), pin.SE3(np.eye(3), np.array([-c, 0.0, 0.0]))
+    contours = [scene.add_contour(f"{name}s", pc.Ellipse(a, b), f"{name} gear", focus) for name in ("first", "second")]
+    scene.add_contact("gears", *contours, friction, bilateral=True)
+
+    def angle(first):
+        """Of the second gear, from that of the first one; its derivative is minus the ratio of both distances."""
+        factor = (a - c) / (a + c)
+        return -2.0 * np.unwrap(np.arctan2(factor * np.sin(0.5 * first), np.cos(0.5 * first)), period=np.pi)
+
+    def ratio(first):
+        distance = b * b / (a + c * np.cos(first))
+        return -distance / (2.0 * a - distance)
+
+    speed = 5.0
+    energy = inertias[0] + inertias[1] * ratio(start) ** 2
+    state = scene.initial_state([start, float(angle(np.array([start]))[0])], [speed, ratio(start) * speed])
+    run = pc.simulate(scene, state, 1.0, method="Moreau", dt=1e-3, t_eval=np.linspace(0.0, 1.0, 201))
+    assert run.status == 0, run.message
+    # second order in the way of a step, which is 0.005 to 0.02 rad
+    np.testing.assert_allclose(run.q[:, 1], angle(run.q[:, 0]), rtol=0.0, atol=1e-4)
+    np.testing.assert_allclose(
+        run.v[:, 0], speed * np.sqrt(energy / (inertias[0] + inertias[1] * ratio(run.q[:, 0]) ** 2)), rtol=1e-4
+    )

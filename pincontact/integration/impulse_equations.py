@@ -13,12 +13,12 @@ from ..dynamics.least_forces import unit_of_force
 from ..geometry.patterns import ON_CURVE
 from ..jit import NOTHING, STEPPING, kernel
 from ..layout import MU, PATTERN, SYSTEM, TANGENTS, UNILATERAL
-from ..linalg import factor_definite, inner, solve_definite, whiten
+from ..linalg import RANK_TOLERANCE, factor_definite, inner, solve_definite, whiten
 from .impulse_layout import STEP
 from .impulse_velocities import beyond_rigid, free_gain, start_velocity
 
 # An equation of which less than this part is left after orthogonalisation is redundant.
-REDUNDANT = 1e-10
+REDUNDANT = math.sqrt(RANK_TOLERANCE)
 
 
 @kernel

@@ -361,7 +361,7 @@ class Driver:
     def _complete(self, t: float, step: float, t_new: float) -> tuple[float, bool]:
         """Events, outputs and commitment of the trial step; returns the new time and whether modes changed."""
         rk, system = self.rk, self.system
-        opened = self.transitions.open
+        opened, told, kept = self.transitions.open, len(self.transitions.reports.events), len(self.outputs)
         if opened.is_near and not opened.may_stand(t_new, step):
             self._unmake()
             return t, False
@@ -379,7 +379,7 @@ class Driver:
             if asked:
                 self._announce_user_events(t, step, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
-                return self._change_modes(t, step, crossing, rests)
+                return self._change_modes(t, step, crossing, rests, told, kept)
             if self.outputs.due(t_new):
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
@@ -423,6 +423,14 @@ class Driver:
         self.system.counters.step_count -= 1
         self.system.counters.rejected_count += 1
         self._thrown = True
+
+    def _take_back(self, told: int, kept: int) -> None:
+        """Count the trial step as rejected, and take back what was told, and kept, of it but so many events, and
+        pieces."""
+        self._unmake()
+        del self.transitions.reports.events[told:]
+        for _ in range(kept, len(self.outputs)):
+            self.outputs.drop()
 
     def _give_way(self, t: float, state: np.ndarray, step: float) -> float:
         """Go on from a state at t, behind a step of this size, that could not be projected on the constraints; the new
@@ -495,14 +503,22 @@ class Driver:
             if user.terminal:
                 raise Stop(TERMINATED, "a terminal event occurred")
 
-    def _change_modes(self, t: float, step: float, crossing: Crossing, chosen: bool) -> tuple[float, bool]:
+    def _change_modes(
+        self, t: float, step: float, crossing: Crossing, chosen: bool, told: int, kept: int
+    ) -> tuple[float, bool]:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes; returns
-        the new time and whether modes changed. chosen: whether no other redundant forces would do."""
-        rk = self.rk
+        the new time and whether modes changed. chosen: whether no other redundant forces would do; told, kept: see
+        `_take_back`."""
+        rk, error = self.rk, self.rk.error
         time, happens = t + crossing.theta * step, True
         self._write_before(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
+            if taken <= step and rk.error > max(error, 1.0):
+                # forces jump there, as where rows become independent: longer steps may not see it
+                self._take_back(told, kept)
+                self.system.scalars.next_step = FAILED_FACTOR * taken
+                return t, False
             time = t + taken
             self._keep_to(t, taken, step)
         state = self.system.new_state if crossing.theta > 0.0 else self.system.state

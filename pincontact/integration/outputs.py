@@ -49,6 +49,10 @@ class Outputs:
         if self.pieces is not None:
             self.pieces.keep(t, end, size)
 
+    def __len__(self) -> int:
+        """How many pieces are kept."""
+        return 0 if self.pieces is None else len(self.pieces)
+
     def drop(self) -> None:
         """Drop what was kept last, where all are kept."""
         if self.pieces is not None:

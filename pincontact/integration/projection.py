@@ -89,7 +89,7 @@ def project(system, t, evaluated, purpose, error):
         if _contradicts(system):
             return CONTRADICTION
         explained = max(EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0) if error < math.inf else error
-        if i == 0 and change > explained:
+        if change > explained:
             return LOCATION_FAILED
         close = change <= _CLOSE
         size, largest = scalars.correction_size, 1.0

@@ -30,7 +30,7 @@ from .geometry.patterns import CROSSING_CURVES
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
 from .geometry.sides import Beside, middle_of_domains, side_of_all, side_of_crossing
 from .integration.accuracy import APART_AT_END
-from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
+from .integration.contradictions import CLOSED_WITHIN, HeldVelocity, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
 from .integration.nearness import of_same_contours
 from .integration.run_system import RunSystem
@@ -565,6 +565,7 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
         slips[name] = normal, math.hypot(first, second)
     system.v[:] = _without_locked(system, v)
     system.put_state(system.stage_state, system.q, system.v, system.location[: system.nc])
+    given = HeldVelocity(system)
     if system.project(t) != OK:
         contradicting = contradiction(system, t)
         if contradicting:
@@ -575,5 +576,6 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
             max((abs(g) for g in gaps.values()), default=math.nan),
         )
     _refuse_gaps(system, t)
+    given.refuse_lost(system)
     dq = pin.difference(scene.model, q, system.q)
     return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

@@ -193,3 +193,50 @@ def first_accelerations(big, small, heavy, light, lean):
         ]
     )
     return np.linalg.solve(matrix, [0.0, light * 9.81 * distance * s])
+
+
+@pytest.mark.parametrize("bilateral", [True, False])
+@pytest.mark.parametrize("friction", [pc.Coulomb(0.5), pc.Coulomb(0.5, rolling=0.01), pc.Stribeck(0.3, 0.6, 0.1)])
+def test_what_no_joint_moves_carries_no_load(friction, bilateral):
+    """A pinion on a rack: bearings and rails carry all that is along the normal of their contact, of which nothing is
+    known. So the contact has no friction, in any method, and the pinion turns alone."""
+    radius, torque, inertia = 0.1, 1.0, 0.02
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    raised = pin.SE3(np.eye(3), np.array([0.0, radius, 0.0]))
+    add_body(model, 0, pin.JointModelRZ(), raised, "pinion", 1.0, (0.01, 0.01, inertia))
+    add_body(model, 0, pin.JointModelPX(), pin.SE3.Identity(), "rack", 2.0, (1.0, 1.0, 1.0))
+    scene = pc.Scene(model)
+    wheel, rack = scene.add_contour("wheel", pc.Circle(radius), "pinion"), scene.add_contour("rack", pc.Line(), "rack")
+    scene.add_contact("teeth", wheel, rack, friction, bilateral=bilateral, side=-1)
+    state = scene.initial_state([0.0, 0.0])
+    for options in ({}, {"method": "Moreau", "dt": 1e-3}):
+        run = pc.simulate(scene, state, 0.5, control=lambda t, q, v: np.array([torque, 0.0]), **options)
+        assert run.status == 0, run.message
+        np.testing.assert_allclose(run.q[-1], [0.125 * torque / inertia, 0.0], rtol=0.0, atol=1e-9)
+        assert not run.contacts["teeth"].force.any()
+    if isinstance(friction, pc.Coulomb) and friction.rolling:
+        return
+    # the rack has to be driven by itself
+    found = pc.inverse_dynamics(scene, state, [10.0, 1.0], cones=True)
+    np.testing.assert_allclose(found.tau, [10.0 * inertia, 2.0], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [pc.NoSlip(), None])
+@pytest.mark.parametrize("off", [1e-13, 1e-9, 1e-7])
+def test_a_velocity_is_not_lost_to_what_is_next_to_nothing(off, friction):
+    """Two friction wheels, of which one turns about a point a little beside its centre, cannot turn at all, as rigid
+    bodies that cannot part. Whoever gives them a velocity is told."""
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    add_body(model, 0, pin.JointModelRZ(), pin.SE3.Identity(), "first", 1.0, (0.01, 0.01, 0.01))
+    add_body(
+        model, 0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([0.25, 0.0, 0.0])), "second", 1.0, (0.01, 0.01, 0.02)
+    )
+    scene = pc.Scene(model)
+    beside = pin.SE3(np.eye(3), np.array([0.0, off, 0.0]))
+    wheels = scene.add_contour("a", pc.Circle(0.1), "first", beside), scene.add_contour("b", pc.Circle(0.15), "second")
+    scene.add_contact("wheels", *wheels, friction, bilateral=True)
+    with pytest.raises(pc.StateError, match=r"meets the constraints up to .* 'wheels' are next to redundant"):
+        scene.initial_state([0.0, 0.0], [5.0, -10.0 / 3.0])
+    assert scene.initial_state([0.0, 0.0]).correction.dv == 0.0

@@ -254,13 +254,15 @@ class Problem:
             name = ("contact", owner)
             if owner in unlimited or (owner, 2) not in index:
                 continue
-            normal = np.zeros(self.start.size)
-            for row in (2, 1) if system.contact_int[owner, PATTERN] == ON_CURVE else (2,):
+            normal, rows = np.zeros(self.start.size), [2, 1] if system.contact_int[owner, PATTERN] == ON_CURVE else [2]
+            for row in rows:
                 normal[index[owner, row]] = self.shares[index[owner, row] - self.components.start]
+            # along what no joint moves there is no load
+            most = np.inf if system.rows[owner, rows].any() else 0.0
             limit = float(system.contact_real[c, MU_STATIC])
             limited = integers[MODE] == STICK and np.isfinite(limit) and integers[TANGENTS] > 0
             if c < system.nc and (system.contact_int[c, UNILATERAL] or limited or system.resists(c)):
-                self._add_row(normal, 0.0, np.inf, name)
+                self._add_row(normal, 0.0, most, name)
             if not limited:
                 continue
             scale = np.linalg.inv(friction_scaling(system, c)) if integers[ANISOTROPIC] else _ROUND

@@ -112,11 +112,13 @@ class RedundantForces:
         directions = system.whitened_forces[:count] if slipping else rows
         if not np.isfinite(directions).all():
             return False
-        null = null_space(directions)
+        # along what no joint moves there is no force
+        moves = rows.any(axis=1)
+        null = null_space(directions, moves)
         choices = [null]
         if slipping:
             # the motion depends on forces that the constraints leave open, too: see `leaves_loads_open`
-            open_forces = null_space(directions @ rows.T)
+            open_forces = null_space(directions @ rows.T, moves)
             if open_forces.shape[1] > null.shape[1]:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0

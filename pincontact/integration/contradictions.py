@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..dynamics.system import System
+from ..dynamics.units import whitened_velocity
 from ..errors import StateError
+from ..geometry.carriers import OMEGA, VELOCITY
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .projection import CONTRADICTING
@@ -14,6 +16,8 @@ from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
 _NAMED = 1e-3
+# A velocity that meets constraints up to this part of the speeds meets them; to lose more than that of it is a failure.
+_MET, _LOST = 1e-6, 1e-3
 # How far apart closed contacts may be where a motion begins, as a part of their natural length; they are put together.
 CLOSED_WITHIN = 0.05
 
@@ -68,6 +72,47 @@ def crushed(t: float, where: list[str]) -> Stop:
     )
 
 
+class HeldVelocity:
+    """A velocity, in the state evaluated last, before it is put on the constraints. missed (nc,): how far those of each
+    contact are from met, in m/s."""
+
+    def __init__(self, system: System) -> None:
+        self.system, self._whitened = system, whitened_velocity(system, system.v)
+        self.missed = _held_speeds(system)
+        sides = system.frames[: 2 * system.nc], system.derivatives[: 2 * system.nc, 0]
+        speeds = np.linalg.norm(sides[0][:, VELOCITY], axis=1)
+        speeds += np.linalg.norm(sides[0][:, OMEGA], axis=1) * np.linalg.norm(sides[1], axis=1)
+        self._fastest = float(speeds.max(initial=0.0))
+        self._factor = system.factor.copy()
+
+    def refuse_lost(self, system: System) -> None:
+        """Raise StateError where the velocity of the system, on the constraints, has lost much of this one, which met
+        them but for next to nothing: so it is where rows are next to redundant, or to zero."""
+        size = float(np.linalg.norm(self._whitened))
+        lost = float(np.linalg.norm(self._whitened - self._factor @ system.v))
+        most = float(self.missed.max(initial=0.0))
+        if lost > _LOST * size and most <= _MET * self._fastest:
+            c = int(np.argmax(self.missed))
+            raise StateError(
+                f"the velocity meets the constraints up to {most:.3g} m/s, but to meet them wholly takes "
+                f"{lost / size:.0%} of it: those of contact {system.contacts[c].name!r} are next to redundant, or "
+                "joints hardly move it along its normal, as where sizes are a little off"
+            )
+
+
+def _held_speeds(system: System) -> np.ndarray:
+    """(nc,) how far in m/s the velocity constraints of each contact are from met in the last evaluation."""
+    left = np.zeros(system.nc)
+    for i in [*system.closed(), *system.resisting()]:
+        ints, along = system.contact_int[i], system.basis[i] @ system.slip[i]
+        held = list(range(ints[TANGENTS])) if ints[MODE] == STICK else []
+        if i < system.nc:
+            held += [2, 1] if ints[PATTERN] == ON_CURVE else [2]
+        c = system.owner(i)
+        left[c] = max(left[c], np.abs(along[held]).max(initial=0.0))
+    return left
+
+
 def contradiction(system: System, t: float) -> str:
     """Which contacts contradict each other after the last projection of `stage_state`, and by how much; "" where none
     do. Leaves that state loaded, with its kinematics."""
@@ -77,14 +122,7 @@ def contradiction(system: System, t: float) -> str:
         return ""
     load_state(system.address)
     system.evaluate_kinematics(t)
-    left = np.zeros(system.nc)
-    for i in [*system.closed(), *system.resisting()]:
-        ints, along = system.contact_int[i], system.basis[i] @ system.slip[i]
-        held = list(range(ints[TANGENTS])) if ints[MODE] == STICK else []
-        if i < system.nc:
-            held += [2, 1] if ints[PATTERN] == ON_CURVE else [2]
-        c = system.owner(i)
-        left[c] = max(left[c], np.abs(along[held]).max(initial=0.0))
+    left = _held_speeds(system)
     if not left.max(initial=0.0) > _NAMED * system.scalars.velocity_left:
         # joints
         return f"velocity constraints cannot be met together: {system.scalars.velocity_left:.3g} (m/s or rad/s) is left"

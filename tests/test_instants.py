@@ -431,3 +431,37 @@ def test_ends_of_joints_take_part_in_impacts(end):
         assert impact.joints == pytest.approx(impulses[3] * speed, abs=1e-10)
         kinetic = 0.5 * system.v @ mass @ system.v - 0.5 * v @ mass @ v
         assert impact.contacts + impact.joints == pytest.approx(kinetic, abs=1e-10)
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8, 1e-10])
+def test_fingers_slip_one_after_the_other(rtol):
+    """Two fingers let a box go, of which one holds a little longer, 0.3 ms: as slip begins at one of them it does not
+    at the other one yet, however long it takes to show."""
+    model = pin.Model()
+    for name in ("left", "right"):
+        joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(0.1, np.zeros(3), 1e-4 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
+    model.appendBodyToJoint(joint, pin.Inertia(0.2, np.zeros(3), 1e-4 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("box", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    for name, side, mu in (("left", -1.0, 0.5), ("right", 1.0, 0.50003)):
+        face = pin.SE3(pin.utils.rotate("y", 0.5 * np.pi * side), np.array([0.05 * side, 0.0, 0.0]))
+        tip = scene.add_contour(f"{name} tip", pc.Sphere(0.01), name)
+        # both resist turning about the line between them, which is redundant
+        scene.add_contact(
+            name, tip, scene.add_contour(f"{name} face", pc.Plane(), "box", face), pc.Coulomb(mu, spinning=1e-3)
+        )
+    state = scene.initial_state([-0.06, 0.06, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+    def control(t, q, v):
+        grip = 2.2 - 1.2 * t
+        return np.array([grip, -grip, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    run = pc.simulate(scene, state, 0.3, rtol=rtol, atol=0.01 * rtol, control=control)
+    assert [(event.kind, event.contact) for event in run.events] == [("slip", "left"), ("slip", "right")]
+    # half the weight at the first limit
+    first = (2.2 - 0.5 * 0.2 * 9.81 / 0.5) / 1.2
+    assert run.events[0].time == pytest.approx(first, abs=1e-7)
+    assert run.events[1].time - first == pytest.approx(2.943e-4, abs=2e-7)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.choices import Units, holding_loads
+from ..friction.choices import Units, chosen_forces, holding_loads
 from ..friction.cone import SLIP, STICK
 from ..friction.feasibility import crushing_combination
 from ..friction.loads import TOLERANCE, LoadSolver
@@ -31,7 +31,7 @@ from ..layout import (
 from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
 from .equations import PAINLEVE_LIMIT
-from .units import ContactProblem, relative_velocity, unwhiten, whitened_velocity
+from .units import REDUNDANT, ContactProblem, relative_velocity, unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 # What accelerates, as a part of the slip, where an impact without collision is looked for: solvers know velocities to a
 # hundredth of that.
 _AHEAD = 1e-8
+# Velocities that contradict each other by this part of the largest one, or of 1 m/s, are known no better.
+_AGREES = 1e-9
 # Friction is as much larger there as takes slip beyond where it counts as jammed.
 _BEYOND = 1.0 + 10.0 * PAINLEVE_LIMIT
 
@@ -163,10 +165,21 @@ class _Problem(ContactProblem):
             if self.normal[u] and c < system.nc:
                 self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
         self.forces = np.zeros(self.before.size)
+        self._keep_within_reach(_AGREES * (1.0 + float(np.abs(system.v).max(initial=0.0))))
         sides = [2 * c + side for c in closed for side in range(2)]
         self.driven = any(
             system.side_int.item(i, MOTION_KIND) or system.side_int.item(i, TIME_DEPENDENT) for i in sides
         )
+
+    def _keep_within_reach(self, allowed: float) -> None:
+        """Take out of the normal velocities what no motion could follow, where that is no more than allowed (m/s): of a
+        body that fits between others they contradict each other by round-off."""
+        normals = self.reduced[:, 2::3]
+        if normals.shape[1] > 1:
+            wanted = self.base[2::3] * (self.normal > 0.0)
+            out = wanted - normals.T @ np.linalg.lstsq(normals.T, wanted, rcond=REDUNDANT)[0]
+            if np.abs(out).max() <= allowed:
+                self.base[2::3] -= out
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
         """y with `kept` of the restitution, or None."""
@@ -181,6 +194,7 @@ class _Problem(ContactProblem):
                 return None
             slips = (modes == SLIP) & (mu > self.sliding)
             if not slips.any():
+                self._choose(b, mu, modes)
                 break
             mu[slips] = self.sliding[slips]
         return self.start + self.reduced @ self.forces
@@ -222,15 +236,28 @@ class _Problem(ContactProblem):
             return modes
         coupled, parents = replace(self.loads(), base=b, mu=mu), self.parents()
         turns = (self.normal == 0.0) & (parents >= 0) & held[parents]
-        problem = self.gram, b, mu, self.reduced.T, self.weights.reshape(-1, 3) == 0.0, parents, np.zeros(mu.size)
-        present = self.forces.reshape(-1, 3), (self.gram @ self.forces + b).reshape(-1, 3)
         for sticks in (held, held | turns):
-            units = Units(*problem, np.where(sticks, STICK, before), *present)
+            units = self._units(b, mu, np.where(sticks, STICK, before))
             found = holding_loads(units, coupled, held, parents < 0)
             if found is not None:
                 self.forces = found[0]
                 return coupled.modes(self.forces)
         return modes
+
+    def _units(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray) -> Units:
+        """The problem with its present impulses, in these modes (n,)."""
+        parents, real = self.parents(), self.weights.reshape(-1, 3) == 0.0
+        present = self.forces.reshape(-1, 3), (self.gram @ self.forces + b).reshape(-1, 3)
+        return Units(self.gram, b, mu, self.reduced.T, real, parents, np.zeros(mu.size), modes, *present)
+
+    def _choose(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray) -> None:
+        """Of redundant impulses take those that the rule for sliding contacts has, where these solve the problem, too:
+        bodies between others may be squeezed by any, which their friction would feel."""
+        chosen = chosen_forces(self._units(b, mu, modes))
+        if chosen is not None:
+            chosen, residual = replace(self.loads(), base=b, mu=mu).refine(chosen)
+            if residual <= TOLERANCE:
+                self.forces = chosen
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:
         """Work of the contacts' and of the joints' impulses, and the sum of the sizes of all terms."""

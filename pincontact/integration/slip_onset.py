@@ -195,7 +195,7 @@ class SlipOnset:
                 for i in slipping:
                     changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
                 return self._end(t, took, system.new_state)
-        tau, decision, seeded = self._find_slip(t, c)
+        tau, decision, seeded = self._find_slip(t, c, set(limits))
         for item in decision.started:
             changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)
         for item in decision.opened:
@@ -259,17 +259,23 @@ class SlipOnset:
         slowest = _ROUND_OFF * (1.0 + max(map(abs, system.v.tolist())))
         return all(system.contact_real.item(i, SLIP_SPEED) > slowest for i in items)
 
-    def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
-        """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
+    def _find_slip(self, t: float, c: int, at_limit: set[int]) -> tuple[float, Decision, np.ndarray]:
+        """Let stick run on from the accepted state until something slips or opens; see `_run_on`. at_limit: items whose
+        forces are at their limits in that state: what others begin to do later is left to then."""
         system = self.system
         # the step that led here resolves what decides; a seed that is longer may pass a load by
         tau = min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
         modes = system.contact_int.copy()
         tau, decision, seeded = self._run_on(t, c, tau)
-        factors = [_SHORTER_SEED] * _LOOKS_FOR_SLIP
-        while factors and not (decision.started or decision.opened):
+        for _ in range(_LOOKS_FOR_SLIP):
+            if decision.opened or (decision.started and at_limit.issuperset(decision.started)):
+                break
             # the limit may have been exceeded in between
-            tau, decision, seeded = self._run_on(t, c, factors.pop() * tau, modes)
+            shorter = self._run_on(t, c, _SHORTER_SEED * tau, modes)
+            if decision.started and not (shorter[1].started or shorter[1].opened):
+                tau, decision, seeded = self._run_on(t, c, tau, modes)
+                break
+            tau, decision, seeded = shorter
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show; a load that runs out
             # with the friction it allows does not

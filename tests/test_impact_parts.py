@@ -173,7 +173,7 @@ def colliding(seed, nv=26):
         for row in range(3):
             rows[i, row, (2 * i + row) % nv] += 1.0
     return SimpleNamespace(
-        nv=nv, nc=8, ng=3, contact_int=integers, contact_real=numbers, joint_int=limits, rows=rows,
+        nv=nv, nc=8, ng=3, v=np.zeros(nv), contact_int=integers, contact_real=numbers, joint_int=limits, rows=rows,
         factor=np.eye(nv) + 0.1 * np.tril(rng.normal(size=(nv, nv))), slip=rng.normal(size=(n, 3)),
         basis=np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(n)]),
         side_int=np.zeros((16, SIDE_INTS), dtype=np.int64), resisting=lambda: [11, 12, 13],

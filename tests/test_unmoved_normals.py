@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import linprog
 from test_moreau import G, body_scene
 
 import pincontact as pc
@@ -14,7 +15,7 @@ RADIUS, MASS, MOMENT, SPEED = 0.1, 1.0, 4e-3, 4.0
 SOMEWHERE = pin.SE3(pin.utils.rotate("z", 0.7), np.array([30.0, -7.0, RADIUS]))
 
 
-def held_ball(joint, law, bilateral=False, centre=(0.0, 0.0, 0.0), placement=SOMEWHERE):
+def held_ball(joint, law, bilateral=False, centre=(0.0, 0.0, 0.0), placement=SOMEWHERE, speed=SPEED):
     """A ball on a joint at its own height over a floor."""
     model = pin.Model()
     index = model.addJoint(0, joint, placement, "joint")
@@ -24,7 +25,7 @@ def held_ball(joint, law, bilateral=False, centre=(0.0, 0.0, 0.0), placement=SOM
     scene = pc.Scene(model)
     ball = scene.add_contour("ball", pc.Sphere(RADIUS), "ball", pin.SE3(np.eye(3), np.array(centre)))
     scene.add_contact("c", ball, scene.add_contour("floor", pc.Plane()), friction=law, bilateral=bilateral)
-    return scene, scene.initial_state(pin.neutral(model), np.full(model.nv, SPEED))
+    return scene, scene.initial_state(pin.neutral(model), np.full(model.nv, speed))
 
 
 LAWS = [
@@ -94,8 +95,7 @@ def test_ball_welded_to_the_world_meets_a_belt():
 def test_a_short_lever_is_no_round_off(lever):
     """A ball whose centre is off its axis rests on the floor with all its weight, however short the lever."""
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, RADIUS]))
-    scene, state = held_ball(pin.JointModelRX(), None, centre=(0.0, lever, 0.0), placement=place)
-    state = scene.initial_state([0.0], [0.0])
+    scene, state = held_ball(pin.JointModelRX(), None, centre=(0.0, lever, 0.0), placement=place, speed=0.0)
     run = pc.simulate(scene, state, 0.1)
     assert run.status == 0, run.message
     # the lever is known to the round-off of a tenth of a metre
@@ -183,3 +183,47 @@ def test_arm_in_a_plane_cannot_spin_about_the_normal(seed, law, bilateral):
     np.testing.assert_allclose(runs[0].v, runs[1].v, rtol=0.0, atol=2e-4)
     found = pc.inverse_dynamics(scene, state)
     assert all(abs(turn.torque @ turned[:, 2]) <= 1e-12 for turn in found.held)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(
+    ("shape", "angles"), [("ball", (-0.7, 0.7)), ("ball", (-0.9, 0.1, 0.8)), ("tip", (-0.9, 0.1, 0.8))]
+)
+def test_no_force_across_a_mechanism(shape, angles, swapped):
+    """What a slider in a plane is held by has nothing across that plane, however its loads change and its contours are
+    named. It slips where no forces in the plane hold it, in any method of choosing among them."""
+    model, mu, radius = pin.Model(), 0.5, 0.1 if shape == "ball" else 0.0
+    model.gravity.linear = np.zeros(3)
+    joint = 0
+    for kind, name in ((pin.JointModelPX(), "x"), (pin.JointModelPZ(), "z")):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene, load = pc.Scene(model), np.zeros(2)
+    tip = scene.add_contour("tip", pc.Sphere(radius) if radius else pc.Point(), "body")
+    for i, angle in enumerate(angles):
+        normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
+        load -= 3.0 * normal[[0, 2]]
+        place = pin.SE3(pin.utils.rotate("y", angle), -radius * normal)
+        pair = [tip, scene.add_contour(f"face {i}", pc.Plane(), placement=place)]
+        scene.add_contact(f"c{i}", *(pair[::-1] if swapped else pair), pc.Coulomb(mu))
+    run = pc.simulate(
+        scene, scene.initial_state([0.0, 0.0]), 0.5, control=lambda t, q, v: load + 10.0 * t * np.array([1.0, 0.7])
+    )
+    assert run.status == 0, run.message
+    for track in run.contacts.values():
+        assert np.abs(track.force[:, 1]).max() <= 1e-12
+
+    def holds(t):
+        """Forces of edges of the cones in the plane that balance the load."""
+        edges = [
+            [math.sin(angle) + side * mu * math.cos(angle), math.cos(angle) - side * mu * math.sin(angle)]
+            for angle in angles
+            for side in (1.0, -1.0)
+        ]
+        wanted = -(load + 10.0 * t * np.array([1.0, 0.7]))
+        return linprog(np.zeros(len(edges)), A_eq=np.array(edges).T, b_eq=wanted).status == 0
+
+    first = next((event.time for event in run.events if event.kind in ("slip", "separate")), 0.5)
+    assert holds(first - 1e-6)
+    assert first == 0.5 or not holds(first + 1e-6)

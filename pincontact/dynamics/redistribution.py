@@ -114,11 +114,13 @@ class RedundantForces:
             return False
         # along what no joint moves there is no force
         moves = rows.any(axis=1)
-        null = null_space(directions, moves)
+        if not moves.any():
+            return False
+        null = null_space(directions[moves])
         choices = [null]
         if slipping:
             # the motion depends on forces that the constraints leave open, too: see `leaves_loads_open`
-            open_forces = null_space(directions @ rows.T, moves)
+            open_forces = null_space(directions[moves] @ rows.T)
             if open_forces.shape[1] > null.shape[1]:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
@@ -127,10 +129,11 @@ class RedundantForces:
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
         (parts, offsets), before = self._cones(index), self.reference()
+        parts = np.ascontiguousarray(parts[:, moves])
         for null in choices:
-            found = central_choice(forces, null, parts, offsets)
+            found = central_choice(forces[moves], null, parts, offsets)
             if found is not None:
-                self._follow(index, found)
+                self._follow(index[moves], found)
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True

@@ -50,14 +50,8 @@ class Choice(NamedTuple):
     span: np.ndarray
 
 
-def null_space(directions: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
-    """(n, k) combinations of the n force directions (n, nv) that act on nothing, k may be 0. among (n,): of which only
-    these take part."""
-    if among is not None and not among.all():
-        part = null_space(directions[among])
-        whole = np.zeros((len(directions), part.shape[1]))
-        whole[among] = part
-        return whole
+def null_space(directions: np.ndarray) -> np.ndarray:
+    """(n, k) combinations of the n force directions (n, nv) that act on nothing, k may be 0."""
     n, nv = directions.shape
     basis = np.empty((n, n))
     return basis[null_rows(np.ascontiguousarray(directions), np.empty((nv, n)), basis) :].T

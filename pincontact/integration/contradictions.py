@@ -91,7 +91,7 @@ class HeldVelocity:
         size = float(np.linalg.norm(self._whitened))
         lost = float(np.linalg.norm(self._whitened - self._factor @ system.v))
         most = float(self.missed.max(initial=0.0))
-        if lost > _LOST * size and most <= _MET * self._fastest:
+        if size > 0.0 and lost > _LOST * size and most <= _MET * self._fastest:
             c = int(np.argmax(self.missed))
             raise StateError(
                 f"the velocity meets the constraints up to {most:.3g} m/s, but to meet them wholly takes "

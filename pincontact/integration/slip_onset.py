@@ -64,6 +64,8 @@ _SHORTENINGS = 16
 _SLOW_START = 30.0
 # So often, and so much shorter each time, is looked for slip that a seed has not shown.
 _LOOKS_FOR_SLIP, _SHORTER_SEED = 3, 0.1
+# Friction is at its limit but for this part of it: redundant forces are known no better there.
+_AT_LIMIT = 1e-5
 # Where contacts open as stick ends, they do after this fraction of the usual time.
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
@@ -195,7 +197,7 @@ class SlipOnset:
                 for i in slipping:
                     changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
                 return self._end(t, took, system.new_state)
-        tau, decision, seeded = self._find_slip(t, c, set(limits))
+        tau, decision, seeded = self._find_slip(t, c)
         for item in decision.started:
             changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)
         for item in decision.opened:
@@ -259,13 +261,13 @@ class SlipOnset:
         slowest = _ROUND_OFF * (1.0 + max(map(abs, system.v.tolist())))
         return all(system.contact_real.item(i, SLIP_SPEED) > slowest for i in items)
 
-    def _find_slip(self, t: float, c: int, at_limit: set[int]) -> tuple[float, Decision, np.ndarray]:
-        """Let stick run on from the accepted state until something slips or opens; see `_run_on`. at_limit: items whose
-        forces are at their limits in that state: what others begin to do later is left to then."""
+    def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
+        """Let stick run on from the accepted state, which is evaluated, until something slips or opens; see `_run_on`.
+        What is not at its limit there, and begins later to slip, is left to then."""
         system = self.system
         # the step that led here resolves what decides; a seed that is longer may pass a load by
         tau = min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
-        modes = system.contact_int.copy()
+        modes, at_limit = system.contact_int.copy(), {c, *self.changes.at_limit(_AT_LIMIT)}
         tau, decision, seeded = self._run_on(t, c, tau)
         for _ in range(_LOOKS_FOR_SLIP):
             if decision.opened or (decision.started and at_limit.issuperset(decision.started)):

@@ -240,3 +240,17 @@ def test_a_velocity_is_not_lost_to_what_is_next_to_nothing(off, friction):
     with pytest.raises(pc.StateError, match=r"meets the constraints up to .* 'wheels' are next to redundant"):
         scene.initial_state([0.0, 0.0], [5.0, -10.0 / 3.0])
     assert scene.initial_state([0.0, 0.0]).correction.dv == 0.0
+
+
+def test_a_start_at_rest_on_what_moves():
+    """Where there is no velocity none is lost, whatever rounding makes of the table's."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        world = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+        model = pin.Model()
+        add_body(model, 0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball", 1.0, (0.01, 0.01, 0.01))
+        scene = pc.Scene(model)
+        table = scene.add_contour("table", pc.Plane(), placement=world, motion=pc.ConstantTwist(linear=(1.0, 0.0, 0.0)))
+        scene.add_contact("c", scene.add_contour("ball", pc.Sphere(0.1), "ball"), table, pc.Coulomb(0.3))
+        place = world * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+        assert np.abs(scene.initial_state(pin.SE3ToXYZQUAT(place), np.zeros(6)).v).max() < 1e-15

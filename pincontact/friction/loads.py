@@ -339,7 +339,7 @@ class ScaledLoads:
         best, least = y, math.inf
         for step in range(_NEWTON_STEPS):
             values, jacobian = self.equations(y, chosen)
-            if not np.isfinite(values).all():
+            if not (np.isfinite(values).all() and np.isfinite(jacobian).all()):
                 break
             residual = _relative(values, y)
             if residual < least:

@@ -77,13 +77,12 @@ class HeldVelocity:
     contact are from met, in m/s."""
 
     def __init__(self, system: System) -> None:
-        self.system, self._whitened = system, whitened_velocity(system, system.v)
+        self._whitened, self._factor = whitened_velocity(system, system.v), system.factor.copy()
         self.missed = _held_speeds(system)
-        sides = system.frames[: 2 * system.nc], system.derivatives[: 2 * system.nc, 0]
-        speeds = np.linalg.norm(sides[0][:, VELOCITY], axis=1)
-        speeds += np.linalg.norm(sides[0][:, OMEGA], axis=1) * np.linalg.norm(sides[1], axis=1)
+        frames, points = system.frames[: 2 * system.nc], system.derivatives[: 2 * system.nc, 0]
+        speeds = np.linalg.norm(frames[:, VELOCITY], axis=1)
+        speeds += np.linalg.norm(frames[:, OMEGA], axis=1) * np.linalg.norm(points, axis=1)
         self._fastest = float(speeds.max(initial=0.0))
-        self._factor = system.factor.copy()
 
     def refuse_lost(self, system: System) -> None:
         """Raise StateError where the velocity of the system, on the constraints, has lost much of this one, which met

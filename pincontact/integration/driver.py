@@ -514,7 +514,7 @@ class Driver:
         self._write_before(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
-            if taken <= step and rk.error > max(error, 1.0):
+            if taken <= step and rk.error > max(error, 1.0) and not self.options.fixed_step:
                 # forces jump there, as where rows become independent: longer steps may not see it
                 self._take_back(told, kept)
                 self.system.scalars.next_step = FAILED_FACTOR * taken

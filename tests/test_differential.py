@@ -122,6 +122,19 @@ def test_corners_are_not_wedged(seed):
     assert not finding.wrong, finding
 
 
+@pytest.mark.parametrize("seed", [8_502_400, 8_502_430])
+def test_rows_that_become_independent_make_no_energy(seed):
+    """Four ideal feet, and two wheels on one axle: forces jump within a step to an event, or by the second correction
+    of a projection, and had taken or made a hundredth of the energy."""
+    motion = random_motion(seed)[1]
+    options = {"control": motion.control, "breakpoints": motion.breakpoints, "energies": True, "method": "RK45"}
+    run = pc.simulate(motion.scene, motion.state(), motion.duration, **options)
+    assert run.status == 0, run.message
+    energies = run.energies()
+    # hundreds of steps of 1e-8 of the energy
+    assert np.abs(energies.balance).max() < 1e-6 * energies.kinetic.max()
+
+
 def test_forces_on_the_rim_of_their_cones_end_no_run_with_an_exception():
     """Feet of whose redundant forces none lies inside the cones, but for round-off: there is no central one."""
     run = Runs(random_motion(1140)[1]).run()

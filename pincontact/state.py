@@ -30,7 +30,7 @@ from .geometry.patterns import CROSSING_CURVES
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
 from .geometry.sides import Beside, middle_of_domains, side_of_all, side_of_crossing
 from .integration.accuracy import APART_AT_END
-from .integration.contradictions import CLOSED_WITHIN, HeldVelocity, apart, contradiction
+from .integration.contradictions import CLOSED_WITHIN, apart, contradiction, refuse_lost
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
 from .integration.nearness import of_same_contours
 from .integration.run_system import RunSystem
@@ -563,9 +563,9 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
         gaps[name] = float(np.hypot(*system.gaps[c]) if system.gaps[c, 1] else system.gaps[c, 0])
         first, second, normal = (system.basis[c] @ system.slip[c]).tolist()
         slips[name] = normal, math.hypot(first, second)
-    system.v[:] = _without_locked(system, v)
+    given = _without_locked(system, v)
+    system.v[:] = given
     system.put_state(system.stage_state, system.q, system.v, system.location[: system.nc])
-    given = HeldVelocity(system)
     if system.project(t) != OK:
         contradicting = contradiction(system, t)
         if contradicting:
@@ -575,7 +575,7 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
             f"{system.gaps[: system.nc, 0].tolist()} m",
             max((abs(g) for g in gaps.values()), default=math.nan),
         )
+    refuse_lost(system, t, given)
     _refuse_gaps(system, t)
-    given.refuse_lost(system)
     dq = pin.difference(scene.model, q, system.q)
     return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

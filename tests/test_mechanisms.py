@@ -254,3 +254,26 @@ def test_a_start_at_rest_on_what_moves():
         scene.add_contact("c", scene.add_contour("ball", pc.Sphere(0.1), "ball"), table, pc.Coulomb(0.3))
         place = world * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
         assert np.abs(scene.initial_state(pin.SE3ToXYZQUAT(place), np.zeros(6)).v).max() < 1e-15
+
+
+def test_what_a_lock_takes_is_not_lost():
+    """A wheel that must not slip, on a locked slider, is given the velocity of rolling: it stands still, as it has to.
+    Nor is what a corrected configuration takes."""
+    model = pin.Model()
+    slider = add_body(model, 0, pin.JointModelPX(), pin.SE3.Identity(), "slider", 1.0, (0.01, 0.01, 0.01))
+    axis = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    add_body(model, slider, pin.JointModelRY(), axis, "wheel", 1.0, (0.01, 0.01, 0.01))
+    model.lowerPositionLimit[0] = model.upperPositionLimit[0] = 0.0
+    scene = pc.Scene(model)
+    wheel, floor = scene.add_contour("wheel", pc.Sphere(0.1), "wheel"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", wheel, floor, pc.NoSlip(), bilateral=True)
+    assert not scene.initial_state([0.0, 0.0], [1.0, 10.0]).v.any()
+
+    # a bead 1 cm off its parabola has the velocity along the tangent beside it
+    model = pin.Model()
+    add_body(model, 0, pin.JointModelTranslation(), pin.SE3.Identity(), "tip", 1.0, (0.01, 0.01, 0.01))
+    scene = pc.Scene(model)
+    wire = scene.add_contour("wire", pc.ParametricCurve(lambda u: (u, 0.5 * u * u, 0.0), domain=(-2.0, 2.0)))
+    scene.add_contact("c", scene.add_contour("tip", pc.Point(), "tip"), wire, bilateral=True)
+    state = scene.initial_state([0.5, 0.135, 0.0], [1.0, 0.5, 0.0], max_gap=0.1)
+    np.testing.assert_allclose(state.v[1] / state.v[0], state.q[0], rtol=0.0, atol=1e-12)

@@ -72,31 +72,29 @@ def crushed(t: float, where: list[str]) -> Stop:
     )
 
 
-class HeldVelocity:
-    """A velocity, in the state evaluated last, before it is put on the constraints. missed (nc,): how far those of each
-    contact are from met, in m/s."""
-
-    def __init__(self, system: System) -> None:
-        self._whitened, self._factor = whitened_velocity(system, system.v), system.factor.copy()
-        self.missed = _held_speeds(system)
-        frames, points = system.frames[: 2 * system.nc], system.derivatives[: 2 * system.nc, 0]
-        speeds = np.linalg.norm(frames[:, VELOCITY], axis=1)
-        speeds += np.linalg.norm(frames[:, OMEGA], axis=1) * np.linalg.norm(points, axis=1)
-        self._fastest = float(speeds.max(initial=0.0))
-
-    def refuse_lost(self, system: System) -> None:
-        """Raise StateError where the velocity of the system, on the constraints, has lost much of this one, which met
-        them but for next to nothing: so it is where rows are next to redundant, or to zero."""
-        size = float(np.linalg.norm(self._whitened))
-        lost = float(np.linalg.norm(self._whitened - self._factor @ system.v))
-        most = float(self.missed.max(initial=0.0))
-        if size > 0.0 and lost > _LOST * size and most <= _MET * self._fastest:
-            c = int(np.argmax(self.missed))
-            raise StateError(
-                f"the velocity meets the constraints up to {most:.3g} m/s, but to meet them wholly takes "
-                f"{lost / size:.0%} of it: those of contact {system.contacts[c].name!r} are next to redundant, or "
-                "joints hardly move it along its normal, as where sizes are a little off"
-            )
+def refuse_lost(system: System, t: float, given: np.ndarray) -> None:
+    """Raise StateError where the system's velocity, on the constraints, has lost much of the given one (nv,), which met
+    them in that configuration but for next to nothing: so it is where rows are next to redundant, or to zero. May leave
+    the kinematics of the given one evaluated."""
+    size = float(np.linalg.norm(whitened_velocity(system, given)))
+    lost = float(np.linalg.norm(whitened_velocity(system, given - system.v)))
+    if not lost > _LOST * size > 0.0:
+        return
+    found = system.v.copy()
+    system.v[:] = given
+    system.evaluate_kinematics(t)
+    system.v[:], missed = found, _held_speeds(system)
+    frames, points = system.frames[: 2 * system.nc], system.derivatives[: 2 * system.nc, 0]
+    speeds = np.linalg.norm(frames[:, VELOCITY], axis=1)
+    speeds += np.linalg.norm(frames[:, OMEGA], axis=1) * np.linalg.norm(points, axis=1)
+    most = float(missed.max(initial=0.0))
+    if most <= _MET * speeds.max(initial=0.0):
+        name = system.contacts[int(np.argmax(missed))].name
+        raise StateError(
+            f"the velocity meets the constraints up to {most:.3g} m/s, but to meet them wholly takes {lost / size:.2%} "
+            f"of it: those of contact {name!r} are next to redundant, or joints hardly move it along its normal, as "
+            "where sizes are a little off"
+        )
 
 
 def _held_speeds(system: System) -> np.ndarray:

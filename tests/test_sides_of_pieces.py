@@ -281,3 +281,24 @@ def test_a_point_may_start_behind_some_faces_of_a_body():
         assert [(event.contact, event.kind) for event in run.events] == [("face 2", "touch")]
         assert abs(run.events[0].time - math.sqrt(2.0 * 0.2 / 9.81)) < 1e-9
         np.testing.assert_allclose(run.q[-1], [0.03, half], atol=1e-9)
+
+
+@pytest.mark.parametrize("wheel_first", [True, False])
+def test_a_wheel_flies_in_over_the_end_of_a_moving_wave(wheel_first):
+    """While it is beside the end the moving curve is looked at again and again, and steps still go on."""
+    model, radius, level = wheel(0.1), 0.1, 0.05
+    scene = pc.Scene(model)
+    wave = pc.ParametricCurve(lambda u, t: (u, level * math.sin(8.0 * t), 0.0 * u), domain=(-1.0, 1.0))
+    contours = [
+        scene.add_contour("wheel", pc.Circle(radius), frame="body", placement=pin.SE3(UPRIGHT, np.zeros(3))),
+        scene.add_contour("wave", wave, placement=pin.SE3(UPRIGHT, np.zeros(3))),
+    ]
+    scene.add_contact("touch", *(contours if wheel_first else contours[::-1]))
+    height, speed = 0.6, 2.0
+    start = scene.initial_state([-1.5, height, 0.0], [speed, 0.0, 0.0], free=["touch"])
+    run = pc.simulate(scene, start, 0.4, max_steps=500)
+    assert run.status == 0
+    fall = [t for t in np.linspace(0.0, 0.4, 400_001) if height - 0.5 * 9.81 * t**2 - radius < level * math.sin(8.0 * t)]
+    assert [event.kind for event in run.events] == ["touch"]
+    # the grid of the closed form
+    assert run.events[0].time == pytest.approx(fall[0], abs=2e-6)

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from ..contacts import Contact
 from ..contours import Contour
+from ..contours.base import F_T, F_TT
 from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import OMEGA, ORIGIN, VELOCITY
@@ -44,8 +45,10 @@ class Beside:
         self._middle, self._reach = middle_of(contact.body1.contour), reach_of(contact.body1.contour)
         self.nearest, self.distance = np.zeros(self.piece.dimension), 0.0
         self._off = float(np.linalg.norm(self._middle))
-        # where the middle was at the last look, and how far it may go from there
-        self._place, self._way = np.zeros(3), 0.0
+        # where the middle was at the last look, when, and how far it may go from there
+        self._place, self._time, self._way = np.zeros(3), math.nan, 0.0
+        # speed in m/s and acceleration in m/s^2 of body 2's nearest point by its dependence on time, then
+        self._rate = self.bending = 0.0
 
     @staticmethod
     def is_seen(system: Workspace, c: int) -> bool:
@@ -68,26 +71,28 @@ class Beside:
         return np.asarray(other[:3].T @ (own[:3] @ self._middle + own[ORIGIN] - other[ORIGIN]))
 
     def speed(self) -> float:
-        """Its speed there in m/s, at most."""
+        """Its speed towards body 2 in m/s, at most."""
         own, other = self.system.frames[2 * self.c : 2 * self.c + 2].tolist()
         turning = math.hypot(*own[OMEGA]) * self._off
         turning += math.hypot(*other[OMEGA]) * (math.dist(own[ORIGIN], other[ORIGIN]) + self._off)
-        return math.dist(own[VELOCITY], other[VELOCITY]) + turning
+        return math.dist(own[VELOCITY], other[VELOCITY]) + turning + self._rate
 
-    def left(self) -> float:
+    def left(self, t: float) -> float:
         """How far in m the middle may go before body 1 may touch, or is on another side, for all that was seen."""
-        if self.piece.time_dependent:
+        if self.piece.time_dependent and t != self._time:
             return 0.0
         return max(self._way - float(np.linalg.norm(self.place() - self._place)), 0.0)
 
     def look(self, t: float) -> tuple[int, bool]:
         """On which side of e_3 body 1 is at the last evaluation, +1 or -1, 0 where its middle is on neither, or it is a
         point, and whether it is over body 2: the nearest point is at none of its ends."""
-        self._place, piece, numbers = self.place(), self.piece, self.system.contact_real[self.c]
+        self._place, self._time, piece, numbers = self.place(), t, self.piece, self.system.contact_real[self.c]
         u, values = nearest_point(piece, self._place, t)
         across = values[2] if piece.dimension == 2 else np.array([0.0, 0.0, 1.0])
         normal, way = np.cross(values[1], across), self._place - values[0]
         height, self.distance = float(normal @ way / np.linalg.norm(normal)), float(np.linalg.norm(way))
+        if piece.time_dependent:
+            self._rate, self.bending = np.linalg.norm(values[F_T]).item(), np.linalg.norm(values[F_TT]).item()
         self.nearest, self._speeds = u, np.linalg.norm(values[1 : 1 + piece.dimension], axis=1)
         # so little, in any case, that it cannot touch before the next look from another side
         self._way = max(abs(height), self.distance - self._reach, float(numbers[OVERLAP]))

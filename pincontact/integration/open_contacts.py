@@ -155,7 +155,7 @@ class OpenContacts:
                 self._cross(c)
                 self._hold = min(self._hold, h)
                 continue
-            holds = self._side_holds(c) if c in self._beside else 0.0
+            holds = self._side_holds(t, c) if c in self._beside else 0.0
             if holds < h:
                 beside = self._seen(c)
                 told, is_over = beside.look(t)
@@ -164,7 +164,7 @@ class OpenContacts:
                 if turns or beside.is_far():
                     self._move(t, c, told if turns else side, beside.nearest)
                 integers[c, BESIDE] = not is_over
-                holds = self._side_holds(c)
+                holds = self._side_holds(t, c)
             self._hold = min(self._hold, holds)
 
     def _takes_sides(self, c: int) -> bool:
@@ -201,10 +201,10 @@ class OpenContacts:
             self._beside[c] = Beside(self.system, c)
         return self._beside[c]
 
-    def _side_holds(self, c: int) -> float:
-        """For how long in s what was seen of contact c, which is beside an end, holds."""
+    def _side_holds(self, t: float, c: int) -> float:
+        """For how long in s from t what was seen of contact c, which is beside an end, holds."""
         beside, acceleration = self._beside[c], SAFETY * max(self._gravity, self.system.contact_real.item(c, SPEEDING))
-        return time_to_cover(beside.left(), beside.speed(), acceleration)
+        return time_to_cover(beside.left(t), beside.speed(), acceleration + SAFETY * beside.bending)
 
     def _move(self, t: float, c: int, side: int, end: np.ndarray) -> None:
         """Have contact c on this side, near a point (3,) in the world."""

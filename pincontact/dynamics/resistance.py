@@ -15,7 +15,19 @@ from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import CALLED, INTEGER, NOTHING, kernel
-from ..layout import FREE, MODE, OWNER, PATTERN, ROLLING_ROW, SPINNING_ROW, SUPPORT_SIZE, SYSTEM, TANGENTS
+from ..layout import (
+    FREE,
+    MODE,
+    NORMAL_SIGN,
+    OWNER,
+    PATTERN,
+    ROLLING_ROW,
+    SPINNING_ROW,
+    SUPPORT_SIZE,
+    SYSTEM,
+    TANGENTS,
+    UNILATERAL,
+)
 
 
 @kernel
@@ -40,11 +52,12 @@ def free_with_owners(contact_int, first, total):
 
 
 @kernel
-def size_of_load(contact_int, force, c):
-    """|F_n| of contact c from forces along the bases."""
+def load_of_friction(contact_int, force, c):
+    """|F_n| of contact c from forces along the bases; where F_n changes its sign within a trial step it is negative
+    beyond, as in `friction_directions`, and smooth."""
     if contact_int[c, PATTERN] == ON_CURVE:
         return math.hypot(force[c, 1], force[c, 2])
-    return abs(force[c, 2])
+    return force[c, 2] if contact_int[c, UNILATERAL] != 0 else contact_int[c, NORMAL_SIGN] * force[c, 2]
 
 
 @kernel

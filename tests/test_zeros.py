@@ -122,10 +122,11 @@ def test_functions_are_asked_once():
 
 @pytest.mark.parametrize(
     ("before", "after", "found"),
-    [(1.0, -1.0, 0.3), (1.0, 0.0, 0.9), (1.0, -math.inf, 0.9), (math.inf, -1.0, 0.9), (-math.inf, math.inf, 0.9)],
+    [(1.0, -1.0, 0.3), (1.0, 0.0, 0.3), (1.0, -math.inf, 0.9), (math.inf, -1.0, 0.9), (-math.inf, math.inf, 0.9)],
 )
-def test_crossings_of_what_is_infinite_or_zero_at_the_end(before, after, found):
-    """Infinite values do not say where between them a function crosses zero: it has at the end."""
+def test_crossings_of_what_is_infinite_or_stays_zero(before, after, found):
+    """Infinite values do not say where between them a function crosses zero: it has at the end. One that comes to zero
+    and stays there is zero from its first zero on."""
     place = crossing_between(lambda x: before if x < 0.3 else after, 0.1, 0.9, ACCURACY)
     assert place == pytest.approx(found, abs=WIDTH)
 

@@ -180,13 +180,14 @@ class Driver:
         struck = None
         if t_end > t:
             self._allow_start(t, 0.0 if self.users else self.options.fixed_step or math.inf)
+            self.users.update(t)
             struck = self.transitions.strike(t)
             t = self.transitions.onset.start(t) if struck is None else struck
         if struck is None:
             self.users.update(t)
             self._finish(t)
         else:
-            self._after(t)
+            self._after(t, jumps=True)
         self._set_limits(t)
         if t >= t_end and self.outputs.pieces is not None and not len(self.outputs.pieces):
             self.outputs.pieces.keep_point(t)
@@ -267,10 +268,8 @@ class Driver:
         after, self.transitions.onset.pending = math.nextafter(t, math.inf), None
         self._allow_start(after, self.options.fixed_step or math.inf)
         after = self.transitions.pass_jump(after)
-        self._finish(after)
-        self._watch(after, False)
         # what was asked for at the breakpoint is shown there
-        self.outputs.write_state(after, at_their_times=True)
+        self._after(after, jumps=True, at_their_times=True)
         self._set_limits(after)
         return after
 
@@ -439,7 +438,7 @@ class Driver:
         self.rk.load(state)
         self._allow_start(t, step)
         after = self.transitions.give_way(t, failure)
-        self._after(after)
+        self._after(after, jumps=True)
         return after
 
     def _end_jams(self, t: float) -> float:
@@ -463,11 +462,21 @@ class Driver:
         if self.rk.finish_step(t) > EVENT:
             raise projection_failure(self.system, t)
 
-    def _after(self, t: float, stepped: bool = False) -> None:
-        """What follows every state that is accepted here; stepped: see `_watch`."""
+    def _after(self, t: float, stepped: bool = False, jumps: bool = False, at_their_times: bool = False) -> None:
+        """What follows every state that is accepted here; stepped: see `_watch`; jumps: whether the state, or what
+        users' events are of, has jumped since these were looked for; at_their_times: see `write_state`."""
         self._finish(t)
+        jumped = self.users.jumped(t) if jumps else []
         self._watch(t, stepped)
-        self.outputs.write_state(t)
+        self.outputs.write_state(t, at_their_times)
+        for user in jumped:
+            self._announce_user_event(t, user)
+
+    def _announce_user_event(self, t: float, user: UserEvent) -> None:
+        """Note a zero of a user's function in the loaded state; a terminal one raises Stop."""
+        self.transitions.reports.announce(t, None, "user", user.index)
+        if user.terminal:
+            raise Stop(TERMINATED, "a terminal event occurred")
 
     def _watch(self, t: float, stepped: bool, scanned: bool = True) -> None:
         """Take the accepted state at t as the one that the next events are measured from.
@@ -484,9 +493,7 @@ class Driver:
         """The zeros of the user's functions in the trial step before the fraction `until`; a terminal one raises Stop,
         after a step to it."""
         dense = Interpolant(self.system)
-        for theta, user in self.users.crossings(t, step, dense):
-            if theta >= until:
-                return
+        for theta, user in self.users.crossings(t, step, until, dense):
             time = t + theta * step
             if user.terminal:
                 self._write_before(time)
@@ -499,9 +506,7 @@ class Driver:
                 self._after(time)
             else:
                 self.rk.load(dense(theta))
-            self.transitions.reports.announce(time, None, "user", user.index)
-            if user.terminal:
-                raise Stop(TERMINATED, "a terminal event occurred")
+            self._announce_user_event(time, user)
 
     def _change_modes(
         self, t: float, step: float, crossing: Crossing, chosen: bool, told: int, kept: int
@@ -538,7 +543,7 @@ class Driver:
         except Stop:
             self.outputs.write_end(time)
             raise
-        self._after(after)
+        self._after(after, jumps=True)
         return after, True
 
     def _stays_within(self, crossing: Crossing) -> bool:

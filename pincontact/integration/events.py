@@ -23,18 +23,25 @@ if TYPE_CHECKING:
 _FEW_LOOKS = 512
 # A function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
+# Zeros this part of a step before or after what happens in it come with that.
+_WITH = 1e-9
+# Values below this part of the largest one so far are zero: the round-off of what is held there has no sign.
+_ROUND_OFF = 1e-13
 
 
 @dataclass
 class UserEvent:
     """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, its last value,
-    and the start in s of the first step that was too long to find all its zeros."""
+    that before what jumps next, its largest one so far, and the start in s of the first step that was too long to find
+    all its zeros."""
 
     index: int
     function: Callable[[float, np.ndarray, np.ndarray], Any]
     terminal: bool
     direction: float
     value: float = 0.0
+    before: float = 0.0
+    largest: float = 0.0
     lost_from: float | None = None
 
     @staticmethod
@@ -79,12 +86,13 @@ class UserEvent:
             raise UnusableResult(text) from error
         if math.isnan(number):
             raise UnusableResult(f"t = {t:.9g} s: events[{self.index}] returned nan")
-        return number
+        if math.isfinite(number):
+            self.largest = max(self.largest, abs(number))
+        return number if abs(number) > _ROUND_OFF * self.largest else 0.0
 
     def crosses(self, before: float, after: float) -> bool:
         """Whether the function goes through zero in its direction from one value to another."""
-        rises, falls = before < 0.0 <= after, before > 0.0 >= after
-        return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
+        return _goes_through(before, after) and (self.direction == 0.0 or (after - before) * self.direction > 0.0)
 
     def samples(self, value: Callable[[float], float], t: float, at_end: float) -> tuple[Samples, bool]:
         """Values in a step that begins at t, at fractions of it, and whether there is one zero at most between them."""
@@ -94,6 +102,11 @@ class UserEvent:
         if self.lost_from is None and not resolved:
             self.lost_from = t
         return with_double_zeros(value, samples), resolved
+
+
+def _goes_through(before: float, after: float) -> bool:
+    """Whether zero is between two values, or where a function comes to."""
+    return before < 0.0 <= after or before > 0.0 >= after
 
 
 def lost_zeros(events: Sequence[UserEvent]) -> str:
@@ -119,7 +132,14 @@ class UserEvents:
     def update(self, t: float) -> None:
         """Take the system's state at t as the one that the next zero is measured from."""
         for event in self.functions:
-            event.value = event.value_at(t, self.rk.system)
+            event.value = event.before = event.value_at(t, self.rk.system)
+
+    def jumped(self, t: float) -> list[UserEvent]:
+        """Take the system's state at t as `update` does; those functions that have gone through zero by the jump of
+        the state, or of what they are of, that led there."""
+        before = [event.before for event in self.functions]
+        self.update(t)
+        return [event for event, value in zip(self.functions, before) if event.crosses(value, event.value)]
 
     def may_cross(self, t: float, step: float) -> bool:
         """Whether any function may go through zero in the trial step, whose end is loaded.
@@ -129,6 +149,8 @@ class UserEvents:
         if not self.functions:
             return False
         self._at_end = [event.value_at(t + step, self.rk.system) for event in self.functions]
+        for event in self.functions:
+            event.before = event.value
         if self.rk.method.extra == 0:
             return True
         state_at = self.rk.cubic(step)
@@ -136,16 +158,27 @@ class UserEvents:
         self.rk.load(self.rk.system.new_state)
         return found
 
-    def crossings(self, t: float, step: float, dense: Interpolant) -> list[tuple[float, UserEvent]]:
-        """All zeros in the trial step in order, as fractions of it; after `may_cross`."""
+    def crossings(self, t: float, step: float, until: float, dense: Interpolant) -> list[tuple[float, UserEvent]]:
+        """All zeros in the trial step before the fraction `until` in order, as fractions of it; after `may_cross`."""
         found = []
         for event in self.functions:
             value = self._in_step(event, t, step, dense)
             samples, resolved = event.samples(value, t, self._at_end[event.index])
             for (low, before), (high, after) in pairwise(samples):
+                if low >= until:
+                    break
+                if not _goes_through(before, after):
+                    event.before = after or event.before
+                    continue
+                # what is too fast to be seen is not looked for more closely
+                zero = crossing_between(value, low, high, ACCURACY) if resolved else high
+                if zero > until + _WITH:
+                    event.before = before
+                    break
+                # what comes to zero with what happens there has no sign before that
+                event.before = after if zero < until - _WITH else 0.0
                 if event.crosses(before, after):
-                    # what is too fast to be seen is not looked for more closely
-                    found.append((crossing_between(value, low, high, ACCURACY) if resolved else high, event))
+                    found.append((min(zero, until), event))
         return sorted(found, key=lambda crossing: crossing[0])
 
     def _comes_near(self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]) -> bool:

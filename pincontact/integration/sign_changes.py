@@ -100,9 +100,12 @@ def zero_between(value: Callable[[float], float], low: float, high: float, accur
 
 
 def crossing_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
-    """`zero_between` of a function that is `asked_once`: at high where it is zero there, or infinite at an end."""
+    """`zero_between` of a function that is `asked_once`: the first zero where it stays zero, high where it is infinite
+    at an end."""
     before, after = value(low), value(high)
-    return high if after == 0.0 or math.isinf(before) or math.isinf(after) else zero_between(value, low, high, accuracy)
+    if math.isinf(before) or math.isinf(after):
+        return high
+    return zero_between(value if after != 0.0 else lambda place: value(place) or -before, low, high, accuracy)
 
 
 def resolve(value: Callable[[float], float], at_start: float, at_end: float, looks: int = MOST_LOOKS) -> Samples:

@@ -70,6 +70,35 @@ def test_contact_that_rebounds_where_a_joint_ends(shift, options):
     assert run.q[-1, 0] == pytest.approx(radius + restitution**2 * height, abs=1.5e-4 if "step" in options else 1e-7)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_touches_takes_part_where_a_joint_strikes(seed):
+    """Two sliders fly one behind the other, as near as gaps are told from zero, and the first strikes its end: the same
+    impact as on a wall there, also where their contact may rebound."""
+    rng = np.random.default_rng(seed)
+    masses, restitution, radius = rng.uniform(0.5, 2.0, 2), rng.choice([0.0, 0.7]), 0.05
+    gap, apart = rng.choice([0.0, 1e-17, 1e-13]), 2.0 * radius
+    after = []
+    for on_a_wall in (False, True):
+        model = pin.Model()
+        model.gravity = pin.Motion.Zero()
+        for name, mass in zip("ab", masses):
+            joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), name)
+            model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, radius), pin.SE3.Identity())
+        model.upperPositionLimit = np.array([10.0, 10.0 if on_a_wall else 0.3])
+        scene = pc.Scene(model)
+        balls = [scene.add_contour(name, pc.Sphere(radius), frame=name) for name in "ab"]
+        scene.add_contact("between", *balls, restitution=restitution)
+        if on_a_wall:
+            facing = pin.SE3(pin.utils.rotate("y", -0.5 * np.pi), np.array([0.3 + radius, 0.0, 0.0]))
+            scene.add_contact("wall", balls[1], scene.add_contour("wall", pc.Plane(), placement=facing))
+        state = scene.initial_state([0.0, apart + gap], [1.0, 1.0], free=list(scene.contacts))
+        run = pc.simulate(scene, state, 0.3)
+        assert run.status == 0, run.message
+        after.append(run.v[-1])
+    np.testing.assert_allclose(after[0], after[1], atol=1e-12)
+    np.testing.assert_allclose(after[0], 0.0, atol=1e-12)
+
+
 # what happens to a hinge with these ends, dry friction, start and torque
 SWINGS = {
     "strikes": ((-0.3, 0.5), 0.01, (0.4, 2.0), 0.0),

@@ -78,9 +78,10 @@ class SingleModeChanges(RedundantForces):
         return all(self._rate(g, sign) > ROUND_OFF for g, (_, sign) in released.items())
 
     def _rate(self, g: int, sign: int) -> float:
-        """Acceleration of joint coordinate g in the direction of `sign`, as a part of the largest free one."""
-        system = self.system
-        return sign * float(system.acceleration[system.joint_int[g, JOINT_V]] / np.abs(system.free_acceleration).max())
+        """Acceleration of joint coordinate g in the direction of `sign`, as a part of the largest free one, if anything
+        accelerates the bodies."""
+        system, largest = self.system, float(np.abs(self.system.free_acceleration).max())
+        return sign * float(system.acceleration[system.joint_int[g, JOINT_V]]) / (largest or 1.0)
 
     def share(self, t: float, c: int, evaluate: Callable[[float], int]) -> bool:
         """Keep contact c, whose normal force would pull, closed without one, by a part of its viscous friction; False

@@ -67,9 +67,7 @@ class Impacts:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
         system, penetration, modes = self.system, self.penetration, self.system.contact_int[:, MODE]
         # whatever touches at the same instant, by symmetry, takes part; what dips does not, whatever its depth
-        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and i not in penetration.contacts]
-        others = [i for i in others if (self.onset.open.apart[i] or comes_in(system, i)) and self._is_due(i)]
-        due = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
+        due = [c, *(i for i in self._due() if i != c)]
         waiting = [i for i in due if waits(system, i, due)]
         touching = [i for i in due if i not in waiting]
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
@@ -104,12 +102,11 @@ class Impacts:
         return after
 
     def stop_joints(self, t: float) -> float:
-        """Joints have struck ends of their ways, and are held there: impulses as in `touch`, in which a contact takes
-        part that rebounds at the same instant."""
-        opened = [c for c in range(self.system.nc) if self.system.contact_int[c, MODE] == FREE]
-        for c in opened:
-            if self.onset.open.apart[c] and self.penetration.touches(c) and self._rebounds(c):
-                return self.touch(t, c)
+        """Joints have struck ends of their ways, and are held there: impulses as in `touch`, in which contacts take
+        part that touch at the same instant."""
+        due = self._due()
+        if due:
+            return self.touch(t, due[0])
         after = self.collide(t, [], {})
         self._announce_others(t, [])
         return after
@@ -128,6 +125,13 @@ class Impacts:
             return None
         self._announce_others(t, [])
         return after
+
+    def _due(self) -> list[int]:
+        """Open contacts that touch now, as far as instants are told apart, and do not leave."""
+        system, tolerated = self.system, self.penetration.contacts
+        opened = [c for c, mode in enumerate(system.modes.tolist()) if mode == FREE and c not in tolerated]
+        near = [c for c in opened if (self.onset.open.apart[c] or comes_in(system, c)) and self._is_due(c)]
+        return [c for c in near if gap_rate(system, c) <= _LEAVING_SPEED]
 
     def _is_due(self, c: int) -> bool:
         """Whether open contact c touches now, as far as instants are told apart.

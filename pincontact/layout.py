@@ -149,7 +149,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, LAST_SPEED
 # and _RATE those one step before, LAST_STEP the size in s of the step that led there; STOP_ERROR is that of velocities
-# in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
+# in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it; START_SLIP its v_c there.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -198,6 +198,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     LAST_STEP,
     STOP_ERROR,
     STOP_TIME,
+    START_SLIP_X,
+    START_SLIP_Y,
+    START_SLIP_Z,
     START,
     SPAN,
     DIRECTION_X,
@@ -207,7 +210,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(54)
+) = range(57)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

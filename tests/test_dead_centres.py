@@ -177,6 +177,27 @@ def test_random_slider_cranks(seed, pattern):
     assert errors[1] < 0.6 * errors[0] < 3e-3
 
 
+@pytest.mark.parametrize("seed", [11, 12, 26, 73, 93, 97])
+def test_slip_on_a_plane_turns_round_as_on_a_line(seed):
+    """No step goes over a place at which slip of two tangents turns round; one of several hundred used to."""
+    rng = np.random.default_rng(seed)
+    crank = SliderCrank(
+        0.1, rng.uniform(0.2, 0.4), rng.uniform(-0.05, 0.05), rng.uniform(0.05, 0.35), tuple(rng.uniform(0.2, 2.0, 2))
+    )
+    size, rate, phase = rng.uniform(-2.0, 2.0, 2) * [1.0, 0.2], rng.uniform(3.0, 15.0, 2), rng.uniform(0.0, 6.0, 2)
+    place, runs = crank.place(rng.uniform(0.0, 6.0), rng.normal(0.0, 6.0)), []
+    for pattern in ("P-S", "P-2C"):
+        scene = crank.scene(pattern)
+        state = scene.initial_state(*place)
+        runs.append(pc.simulate(scene, state, 1.0, control=lambda t, q, v: size * np.sin(rate * t + phase)))
+    assert [run.status for run in runs] == [0, 0]
+    on_plane, on_line = ([(event.kind, event.time) for event in run.events] for run in runs)
+    assert len(on_line) >= 3
+    assert [kind for kind, _ in on_plane] == [kind for kind, _ in on_line]
+    # a few hundred tolerances, over the accelerations at which slip passes zero
+    np.testing.assert_allclose([t for _, t in on_plane], [t for _, t in on_line], rtol=0.0, atol=1e-5)
+
+
 def test_start_at_a_dead_centre():
     """A run that starts where the slip is zero for an instant slides on."""
     crank = SliderCrank(1.0, 1.5, 0.0, 0.4)

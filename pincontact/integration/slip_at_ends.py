@@ -8,7 +8,7 @@ import math
 from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import NOTHING, kernel
+from ..jit import BOOLEAN, NOTHING, kernel
 from ..layout import (
     FROZEN,
     LAST_NORMAL_X,
@@ -22,6 +22,7 @@ from ..layout import (
     SLIP_SPEED,
     SLIPPING,
     START_RATE,
+    START_SLIP_X,
     START_SPEED,
     START_TOLERANCE,
     STOP_ERROR,
@@ -50,6 +51,8 @@ STOP_DOUBLINGS = 10
 _PROGRESS = 0.9
 # Growth by which a slip has got away from its slowest point.
 _ESCAPE = 2.0
+# A slip turns round where it passes zero within this part of its speeds before and after that.
+_PASSES = 0.1
 # Speed in m/s that counts as ended whatever the tolerances.
 _SMALLEST_STOP_SPEED = 1e-13
 # Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
@@ -74,6 +77,8 @@ def note_end(system):
         if contact[MODE] != SLIPPING or contact[TANGENTS] != 2 or contact[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        for i in range(3):
+            number[START_SLIP_X + i] = system.slip[c, i]
         turning = max(turning, _turning_rate(system, c))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
@@ -239,6 +244,26 @@ def slip_ends(system, n):
             continue
         ended = max(allowed * reach, _SMALLEST_STOP_SPEED)
         if speed <= ended or number[STOP_ERROR] <= LEFT_OUT * min(allowed, ended):
+            return True
+    return False
+
+
+@separate_kernel(BOOLEAN, SYSTEM.type)
+def turns_round(system):
+    """Whether a 3D slip has turned round within the trial step, whose end has been evaluated: on the straight way from
+    what it was to what it is it passes next to zero, where friction jumps, or turns faster than the step resolves."""
+    for c in range(count_items(system)):
+        number, slip = system.contact_real[c], system.slip[c]
+        if not number[START_SPEED] < math.inf:
+            continue
+        before = number[START_SLIP_X : START_SLIP_X + 3]
+        along = dot(before, slip)
+        if along >= 0.0:
+            continue
+        first, second = dot(before, before), dot(slip, slip)
+        # squares of the area between both, and of the way from one to the other
+        area, way = max(first * second - along * along, 0.0), first + second - 2.0 * along
+        if area <= _PASSES**2 * way * min(first, second):
             return True
     return False
 

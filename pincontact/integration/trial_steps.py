@@ -11,7 +11,11 @@ from ..layout import EVENT, EVENTS_PER_CONTACT, NOT_FINITE, OK, SYSTEM
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
+from .slip_at_ends import turns_round
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
+
+# Error of a step in which slip turns round: no polynomial has it.
+_TURNED = 1e4
 
 
 @kernel
@@ -84,6 +88,8 @@ def trial_step(system, t, h, adaptive):
             counters.alarm = 1
     if adaptive and status <= EVENT and system.scalars.error_norm < 1.0:
         event_function_error(system)
+        if turns_round(system):
+            system.scalars.error_norm = max(system.scalars.error_norm, _TURNED)
     return status
 
 

@@ -399,6 +399,34 @@ def test_least_torques_of_random_mechanisms(law):
     assert carried > 0
 
 
+def test_least_torques_of_a_link_that_lies_flat():
+    """Two points of one link stick: what they push against each other along it nothing else knows of."""
+    for seed in range(20):
+        rng, model, joint = np.random.default_rng(seed), pin.Model(), 0
+        lengths, place = rng.uniform(0.2, 0.6, 2), pin.SE3.Identity()
+        kinds = (pin.JointModelPX(), pin.JointModelPZ(), pin.JointModelRY(), pin.JointModelRY())
+        for name, kind in zip(("x", "z", "hip", "knee"), kinds):
+            joint = model.addJoint(joint, kind, place, name)
+            place = pin.SE3(np.eye(3), np.array([lengths[0], 0.0, 0.0])) if name == "hip" else pin.SE3.Identity()
+        for joint, length in zip((3, 4), lengths):
+            mass, lever = rng.uniform(0.5, 2.0), np.array([0.5 * length, 0.0, 0.0])
+            model.appendBodyToJoint(
+                joint, pin.Inertia(mass, lever, mass * length**2 / 12.0 * np.eye(3)), pin.SE3.Identity()
+            )
+        scene = pc.Scene(model)
+        floor = scene.add_contour("floor", pc.Plane())
+        for name, x in (("heel", 0.0), ("toe", lengths[1])):
+            at = pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+            scene.add_contact(name, scene.add_contour(name, pc.Point(), "knee", at), floor, friction=pc.Coulomb(0.9))
+        angle = rng.uniform(0.1, 1.0)
+        q = np.array([0.0, lengths[0] * math.sin(angle), angle, -angle])
+        found = pc.inverse_dynamics(scene, scene.initial_state(q, np.zeros(4)))
+        # the link is held in the plane: those velocities that are left, from closed forms
+        free = np.array([lengths[0] * math.sin(angle), lengths[0] * math.cos(angle), 1.0, -1.0])
+        gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+        np.testing.assert_allclose(found.efforts, free * (free @ gravity) / (free @ free), rtol=0.0, atol=1e-9)
+
+
 def test_loads_of_a_tiny_robot_are_loads():
     """What is left of 1e-9 N m is not nothing because it is less than a newton metre."""
     scene, state = held_tree(3, "smooth", True, 2, 2)

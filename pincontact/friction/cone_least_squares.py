@@ -41,6 +41,8 @@ _REGULAR, _STEPS, _GUESSES, _SOLVED = 1e-9, 10, 8, 1e-11
 # Multipliers larger than this part of the largest say what all solutions have in common, and larger than what Newton's
 # method leaves of one that is zero.
 _MULTIPLIED, _KNOWN = 1e-7, 1e-9
+# Directions that move A by less than this part of what moves it most do not move it.
+_DEPENDENT = 1e-9
 # Cones this near to their apex are at it.
 _APEX = 1e-7
 # What stands for no bound in ProxQP; entries of matrices that are next to nothing.
@@ -158,6 +160,10 @@ class ConeLeastSquares:
             self._directions[:, :4] = _FIRST
         # the unit of A is anybody's choice, and tolerances are those of entries of size one
         largest = float(np.abs(matrix).max(initial=0.0))
+        if m == len(region.rows) == 0:
+            # ProxQP would divide by what does not move A
+            y = np.linalg.lstsq(matrix, right, rcond=_DEPENDENT)[0] if largest > _ROUND_OFF else np.zeros(n)
+            return ConeSolution(y, np.zeros((0, 3)), np.zeros(0), exact=True)
         unit = largest if largest > _ROUND_OFF else 1.0
         hessian, gradient = matrix.T @ matrix / unit**2, -matrix.T @ right / unit**2
         scale = max(1.0, float(np.abs(gradient).max(initial=0.0)))

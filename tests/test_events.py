@@ -510,67 +510,6 @@ def test_terminal_event_ends_the_run(rolling):
     assert abs(run.q[-1, 0] + 0.5) <= 1e-12
 
 
-METHODS = {"DOP853": {}, "RK45": {"method": "RK45"}, "Moreau": {"method": "Moreau", "step": 1e-3}}
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_velocities_jump_through_zero(method):
-    """A ball that bounces: its velocity rises through zero in each impact, and falls through zero at each top."""
-    scene = ball_scene(restitution=0.8)
-    run = pc.simulate(scene, thrown(scene, 0.5), 1.5, events=lambda t, q, v: v[2], **METHODS[method])
-    touches = [event.time for event in run.events if event.kind == "touch"]
-    rises = [event.time for event in run.events if event.kind == "user"]
-    fall = math.sqrt(2.0 * 0.5 / G)
-    # twice 0.8^k of the time of the first fall between touches
-    expected = fall + 2.0 * fall * np.cumsum([0.0, 0.8, 0.8**2])
-    tops = expected[:2] + fall * np.array([0.8, 0.8**2])
-    within = 2e-3 if method == "Moreau" else 1e-7
-    np.testing.assert_allclose(touches[:3], expected[: len(touches)], rtol=0.0, atol=within)
-    np.testing.assert_allclose(rises[:4], np.sort([*expected[:2], *tops]), rtol=0.0, atol=within)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("direction", [0.0, -1.0])
-def test_a_terminal_event_that_an_impact_makes(method, direction):
-    scene = ball_scene(friction=pc.Coulomb(0.3))
-
-    def slows(t, q, v):
-        return np.linalg.norm(v) - 0.1
-
-    slows.terminal, slows.direction = True, direction
-    start = thrown(scene, 0.5, v=(0.0, 0.0, -1.0))
-    run = pc.simulate(scene, start, 2.0, events=slows, **METHODS[method])
-    assert run.status == 1
-    (slow,) = [event.time for event in run.events if event.kind == "user"]
-    assert run.t[-1] == slow == pytest.approx((math.sqrt(1.0 + G) - 1.0) / G, abs=2e-3)
-    assert np.linalg.norm(run.v[-1]) < 1e-9
-
-
-@pytest.mark.parametrize("jump", [0.3, 0.7])
-def test_functions_of_time_jump_at_breakpoints(jump):
-    scene = ball_scene()
-    function = lambda t, q, v: 1.0 if t < jump else -1.0  # noqa: E731
-    run = pc.simulate(scene, thrown(scene, 100.0), 1.0, events=function, breakpoints=[jump])
-    assert [(event.kind, event.time) for event in run.events] == [("user", pytest.approx(jump, abs=1e-15))]
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_round_off_has_no_sign(method):
-    """A function that comes to zero and stays there, as velocities of what is held do, is not seen to go through it
-    again."""
-    scene = ball_scene()
-    run = pc.simulate(
-        scene,
-        thrown(scene, 100.0),
-        1.0,
-        events=lambda t, q, v: max(0.25 - t, 0.0) + 1e-17 * math.sin(400.0 * t),
-        **METHODS[method],
-    )
-    assert [event.kind for event in run.events] == ["user"]
-    # in Moreau's method as near as it looks for zeros, a part of its step
-    assert run.events[0].time == pytest.approx(0.25, abs=1e-9 if method == "Moreau" else 1e-12)
-
-
 def test_outputs_do_not_disturb_the_run(rolling):
     """More output times or events do not change the steps, nor the result."""
     scene, state = rolling

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -493,20 +494,27 @@ class Driver:
         """The zeros of the user's functions in the trial step before the fraction `until`; a terminal one raises Stop,
         after a step to it."""
         dense = Interpolant(self.system)
-        for theta, user in self.users.crossings(t, step, until, dense):
-            time = t + theta * step
-            if user.terminal:
+        for zero in self.users.crossings(t, step, until, dense):
+            time = t + zero.theta * step
+            if zero.event.terminal:
                 self._write_before(time)
-                if theta > 0.0:
-                    self.rk.try_step(t, theta * step)
-                    self._keep_to(t, theta * step, step)
-                self.rk.load(self.system.new_state if theta > 0.0 else self.system.state)
+                taken = step * zero.behind(min(until, 1.0), partial(self._value_after, t, step, zero.event))
+                time = t + taken
+                self._keep_to(t, taken, step)
+                self.rk.load(self.system.new_state)
                 self._project(time, False)
                 self.rk.accept()
                 self._after(time)
             else:
-                self.rk.load(dense(theta))
-            self._announce_user_event(time, user)
+                self.rk.load(dense(zero.theta))
+            self._announce_user_event(time, zero.event)
+
+    def _value_after(self, t: float, step: float, event: UserEvent, theta: float) -> float:
+        """A user's function after a trial step of that part of this size, on the constraints."""
+        self.rk.try_step(t, theta * step)
+        self.rk.load(self.system.new_state)
+        self._project(t + theta * step, False)
+        return event.value_at(t + theta * step, self.system)
 
     def _change_modes(
         self, t: float, step: float, crossing: Crossing, chosen: bool, told: int, kept: int

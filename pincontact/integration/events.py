@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,8 @@ _FEW_LOOKS = 512
 _NEAR = 0.05
 # Zeros this part of a step before or after what happens in it come with that.
 _WITH = 1e-9
+# Looks for a place behind a zero: a function that only touches zero has none.
+_LOOKS_BEHIND = 8
 # Values below this part of the largest one so far are zero: the round-off of what is held there has no sign.
 _ROUND_OFF = 1e-13
 
@@ -88,11 +90,16 @@ class UserEvent:
             raise UnusableResult(f"t = {t:.9g} s: events[{self.index}] returned nan")
         if math.isfinite(number):
             self.largest = max(self.largest, abs(number))
-        return number if abs(number) > _ROUND_OFF * self.largest else 0.0
+        return number if abs(number) > self.round_off else 0.0
+
+    @property
+    def round_off(self) -> float:
+        """Values that are no larger are zero."""
+        return _ROUND_OFF * self.largest
 
     def crosses(self, before: float, after: float) -> bool:
         """Whether the function goes through zero in its direction from one value to another."""
-        return _goes_through(before, after) and (self.direction == 0.0 or (after - before) * self.direction > 0.0)
+        return goes_through(before, after) and (self.direction == 0.0 or (after - before) * self.direction > 0.0)
 
     def samples(self, value: Callable[[float], float], t: float, at_end: float) -> tuple[Samples, bool]:
         """Values in a step that begins at t, at fractions of it, and whether there is one zero at most between them."""
@@ -104,9 +111,29 @@ class UserEvent:
         return with_double_zeros(value, samples), resolved
 
 
-def _goes_through(before: float, after: float) -> bool:
+def goes_through(before: float, after: float) -> bool:
     """Whether zero is between two values, or where a function comes to."""
     return before < 0.0 <= after or before > 0.0 >= after
+
+
+class Zero(NamedTuple):
+    """A zero of a user's function at the fraction theta of a trial step, and its slope there, about."""
+
+    theta: float
+    event: UserEvent
+    slope: float
+
+    def behind(self, last: float, value: Callable[[float], float]) -> float:
+        """The fraction, from theta up to the last one, of a step that has the zero behind it, so that a run that goes
+        on from there does not find it again; value: the function after such a part of the step, which is tried so."""
+        theta, further = self.theta, 0.0
+        for _ in range(_LOOKS_BEHIND):
+            there = value(theta)
+            if there * self.slope > 0.0 or theta >= last:
+                break
+            further = max(2.0 * (abs(there) + self.event.round_off) / abs(self.slope), 2.0 * further)
+            theta = min(theta + further, last)
+        return theta
 
 
 def lost_zeros(events: Sequence[UserEvent]) -> str:
@@ -158,8 +185,8 @@ class UserEvents:
         self.rk.load(self.rk.system.new_state)
         return found
 
-    def crossings(self, t: float, step: float, until: float, dense: Interpolant) -> list[tuple[float, UserEvent]]:
-        """All zeros in the trial step before the fraction `until` in order, as fractions of it; after `may_cross`."""
+    def crossings(self, t: float, step: float, until: float, dense: Interpolant) -> list[Zero]:
+        """All zeros in the trial step before the fraction `until` in order; after `may_cross`."""
         found = []
         for event in self.functions:
             value = self._in_step(event, t, step, dense)
@@ -167,7 +194,7 @@ class UserEvents:
             for (low, before), (high, after) in pairwise(samples):
                 if low >= until:
                     break
-                if not _goes_through(before, after):
+                if not goes_through(before, after):
                     event.before = after or event.before
                     continue
                 # what is too fast to be seen is not looked for more closely
@@ -178,8 +205,8 @@ class UserEvents:
                 # what comes to zero with what happens there has no sign before that
                 event.before = after if zero < until - _WITH else 0.0
                 if event.crosses(before, after):
-                    found.append((min(zero, until), event))
-        return sorted(found, key=lambda crossing: crossing[0])
+                    found.append(Zero(min(zero, until), event, (after - before) / (high - low)))
+        return sorted(found, key=lambda zero: zero.theta)
 
     def _comes_near(self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]) -> bool:
         """Whether a function changes its sign in the step, or comes near to zero, or where few looks do not tell."""

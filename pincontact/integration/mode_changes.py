@@ -32,6 +32,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import held_up, may_stop, rest_speed
+from .approach import time_to_cover
 from .joint_events import JointEvents
 from .reports import Reports
 from .results import STEP_TOO_SMALL, Stop
@@ -414,10 +415,10 @@ class ModeChanges:
         if not self._is_redundant() or rk.evaluate_start(t) > EVENT:
             return [], []
         speed, rate = float(np.abs(system.v).max()), float(np.abs(system.acceleration).max())
-        if not max(speed, rate) > 0.0:
-            return [], []
         # half an `_AHEAD` each from both
-        h = 2.0 * _AHEAD / (speed + math.sqrt(speed * speed + 2.0 * rate * _AHEAD))
+        h = time_to_cover(_AHEAD, speed, rate)
+        if not h < math.inf:
+            return [], []
         integers, limits, numbers = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
         forces, rank = modes.reference(), system.counters.row_rank
         v, change = system.v.copy(), h * system.acceleration

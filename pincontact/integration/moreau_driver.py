@@ -13,7 +13,7 @@ import pinocchio as pin
 from ..layout import FREE, LENGTH, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .accuracy import LEAPS
 from .contradictions import jump_apart, jump_into, refuse_apart
-from .events import UserEvent, lost_zeros
+from .events import UserEvent, Zero, goes_through, lost_zeros
 from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS, SLIP
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
@@ -272,13 +272,13 @@ class MoreauDriver:
         nq, nv = system.nq, system.nv
         ends = [(state[:nq].copy(), state[nq : nq + nv].copy()) for state in (system.state, system.stage_state)]
         values = [event.value_at(t_new, system) for event in users]
-        found: list[tuple[float, int]] = []
+        found: list[Zero] = []
         looked = False
         for event, after in zip(users, values):
             ends_known = {0.0: event.value, 1.0: after}
             on_the_way = asked_once(partial(self._value_between, event, ends, t, t_new), dict(ends_known))
             samples, _ = event.samples(on_the_way, t, after)
-            turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
+            turns = sum(goes_through(low, high) for (_, low), (_, high) in pairwise(samples))
             if turns == 0:
                 continue
             looked = True
@@ -287,11 +287,16 @@ class MoreauDriver:
             places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
             for low, high in pairwise(places):
                 if event.crosses(stepped(low), stepped(high)):
-                    found.append((t + crossing_between(stepped, low, high, _EVENT_ACCURACY) * (t_new - t), event.index))
-        for when, i in sorted(found):
+                    place = crossing_between(stepped, low, high, _EVENT_ACCURACY)
+                    found.append(Zero(place, event, (stepped(high) - stepped(low)) / (high - low)))
+        for zero in sorted(found, key=lambda zero: zero.theta):
+            place = zero.theta
+            if zero.event.terminal:
+                place = zero.behind(1.0, partial(self._value_after, zero.event, t, t_new))
+            when = t + place * (t_new - t)
             self._try_step(t, when)
-            self._announce(when, None, "user", i)
-            if users[i].terminal:
+            self._announce(when, None, "user", zero.event.index)
+            if zero.event.terminal:
                 self._report(t, when)
                 self.step.accept(when)
                 self.step.steps += 1

@@ -88,15 +88,15 @@ def asked_once(value: Callable[[float], float], known: dict[float, float]) -> Ca
 
 
 def zero_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
-    """Where a function that has opposite signs at low and high is zero, or jumps across zero."""
-    bracket, place = [0.0] * 6, high
-    begin_bracket(bracket, low, value(low))
+    """Where a function that has opposite signs at low and high is zero, or next to that behind it, also if it jumps."""
+    bracket, place, before = [0.0] * 6, high, value(low)
+    begin_bracket(bracket, low, before)
     for _ in range(LOOKS_FOR_ZERO):
         place = narrow(bracket, place, value(place), accuracy)
         if math.isnan(place):
             break
-    found: float = zero_in(bracket)
-    return found
+    is_behind = bracket[1] == 0.0 or (bracket[1] < 0.0) != (before < 0.0)
+    return bracket[0] if is_behind else bracket[2]
 
 
 def crossing_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:

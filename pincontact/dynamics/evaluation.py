@@ -77,6 +77,8 @@ from .resistance import count_items, resistance_kinematics, resists
 
 # Parts that an evaluation may be confined to.
 KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL, VELOCITIES_OF_ALL = 1, 2, 3, 4
+# Part of the gaps that a correction may leave for round-off.
+_LEFT = 1e-6
 
 
 @entry_kernel(INTEGER, REAL, INTEGER)
@@ -340,7 +342,9 @@ def contact_corrections(system):
     if _least_correction(system, count, system.correction_v) < count:
         # redundant: whether they can be met together is another question
         scalars.velocity_left = velocity_left(system, count)
-    _least_correction(system, move_normals_to_front(system, count), system.correction_q)
+    normals = move_normals_to_front(system, count)
+    if _least_correction(system, normals, system.correction_q) < normals and let_joints_move(system, count):
+        _least_correction(system, normals, system.correction_q)
     largest = 0.0
     for k in range(system.sizes.nv):
         largest = max(largest, abs(system.correction_q[k]))
@@ -396,6 +400,33 @@ def move_normals_to_front(system, count):
             system.multipliers[normals] = -system.gaps[c, 2 - row]
             normals += 1
     return normals
+
+
+@kernel
+def let_joints_move(system, count):
+    """Whether the last correction of q leaves a gap, though friction holds joints, which it does wherever they are:
+    their rows are zero then, and multipliers once more minus the gaps."""
+    nc, nv = system.sizes.nc, system.sizes.nv
+    held, left = 0, 0.0
+    for again in range(2):
+        k = 0
+        for r in range(count):
+            i, row = system.row_index[r, 0], system.row_index[r, 1]
+            if not is_normal_row(system.contact_int[i, PATTERN], row):
+                continue
+            gap = system.gaps[i, 2 - row]
+            is_held = nc <= i < nc + system.joint_count[0] and system.joint_int[i - nc, JOINT_END] == 0
+            if again == 0:
+                held += is_held
+                left = max(left, abs(gap + inner(system.rows[i, row], system.correction_q, nv)))
+            else:
+                system.multipliers[k] = -gap
+                for j in range(nv if is_held else 0):
+                    system.whitened_rows[k, j] = 0.0
+            k += 1
+        if held == 0 or left <= _LEFT * system.scalars.gap_residual:
+            return False
+    return True
 
 
 @kernel

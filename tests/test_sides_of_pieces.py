@@ -133,6 +133,39 @@ def test_tracks_of_which_no_side_is_given(seed, in_space):
         assert (decided[over, SIDE] == given[over, SIDE]).all()
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("faces_first", [False, True])
+def test_a_ball_goes_round_an_edge_onto_the_side_face(faces_first, method):
+    """At its start the ball is behind what the side face would go on as; it comes over it from the other side,
+    whichever contour is named first."""
+    radius, force, inertia = 0.04, 30.0, pin.Inertia.FromSphere(1.0, 0.04)
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), inertia, "ball"))
+    ball = scene.add_contour("ball", pc.Sphere(radius), "ball")
+    facing = pin.SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+    shapes = {
+        "top": (pc.Plane(domain=((-1.0, 1.0), (0.0, 1.0))), pin.SE3.Identity()),
+        "edge": (pc.Line((-1.0, 1.0)), pin.SE3.Identity()),
+        "side": (pc.Plane(domain=((-1.0, 1.0), (-0.2, 0.0))), facing),
+    }
+    for name, (shape, placement) in shapes.items():
+        pair = ball, scene.add_contour(name, shape, placement=placement)
+        scene.add_contact(name, *(pair[::-1] if faces_first else pair))
+    start = scene.initial_state([0.0, 0.01, radius], [0.0, -0.05, 0.0], free=["edge", "side"])
+
+    def wind(t, q, v):
+        """Towards the face, once the ball is all but beside it."""
+        return np.array([0.0, force / (1.0 + math.exp((q[1] + 0.034) / 0.0012)), 0.0])
+
+    run = pc.simulate(scene, start, 0.55, control=wind, **METHODS[method])
+    assert run.status == 0, run.message
+    assert [event.contact for event in run.events if event.kind == "touch"] == ["edge", "side"]
+    y, z = run.q[:, 1:].T
+    beside = (z < 0.0) & (z > -0.2) & (y < 0.0)
+    assert beside.any()
+    # what a step of time stepping goes round the edge; event-driven runs leave next to nothing
+    assert (y[beside] < -radius + 1e-5).all()
+
+
 def hill(side=None):
     """A line up to a kink, and one down: from below, the wheel is under what the second would go on as."""
     scene, slope = pc.Scene(wheel(0.1)), 0.5

@@ -422,6 +422,9 @@ class Impacts:
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             stops = [g for g in stops if system.nc + g not in lasting]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c) and c not in self._lasting]
+            if touches and not self._stops_alone({c: gap_rate(system, c) for c in [*system.closed(), *touches]}):
+                self._lasting.update(touches)
+                touches = []
             if not (slips or stops or bounces or touches):
                 return
             for c in touches:

@@ -6,7 +6,6 @@ import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -99,10 +98,10 @@ class Contact:
         law = "frictionless" if self.friction is None else repr(self.friction)
         return f"<Contact {self.name!r}: {self.pattern.name} of {self.first.name!r} and {self.second.name!r}, {law}>"
 
-    @cached_property
+    @property
     def swapped(self) -> bool:
-        """Whether `first` is the paper's body 2."""
-        return _are_swapped(self.first.contour, self.second.contour)
+        """Whether the user named the contours the other way round than the paper does, which has k2 >= k1."""
+        return self.first.contour.dimension > self.second.contour.dimension
 
     @property
     def bodies(self) -> frozenset[tuple[int, Motion | None]]:
@@ -111,10 +110,7 @@ class Contact:
 
     @property
     def body1(self) -> AttachedContour:
-        """The paper's body 1, the contour with fewer parameters.
-
-        Where both have as many it is the first one, or the second if the first one alone has ends.
-        """
+        """The paper's body 1, the contour with fewer parameters; the first one where both have as many."""
         return self.second if self.swapped else self.first
 
     @property
@@ -124,17 +120,8 @@ class Contact:
 
 
 def in_order(first: AttachedContour, second: AttachedContour) -> tuple[AttachedContour, AttachedContour]:
-    """The paper's bodies 1 and 2, see `Contact.body1`."""
-    return (second, first) if _are_swapped(first.contour, second.contour) else (first, second)
-
-
-def _are_swapped(first: Contour, second: Contour) -> bool:
-    """Whether the second of two contours is the paper's body 1, which has k1 <= k2: of as many parameters, what may be
-    beside ends is body 1, and what has them body 2, on whose sides it may come over them."""
-    if first.dimension != second.dimension:
-        return first.dimension > second.dimension
-    one, two = (bool(np.isfinite(contour.ends()).any()) for contour in (first, second))
-    return one and not two
+    """The paper's bodies 1 and 2: the contour with fewer parameters, the first one where both have as many."""
+    return (second, first) if first.contour.dimension > second.contour.dimension else (first, second)
 
 
 class Assembly:

@@ -47,7 +47,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..linalg import inner
-from .resistance import load_of_friction, resists
+from .resistance import resists, size_of_load
 from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
 
 # Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
@@ -138,7 +138,7 @@ def contact_event_functions(system):
                 value[NORMAL_EVENT] = force[c, 2]
             elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
                 value[NORMAL_EVENT] = integers[NORMAL_SIGN] * force[c, 2]
-            friction_event_functions(system, c, load_of_friction(system.contact_int, force, c))
+            friction_event_functions(system, c, size_of_load(system.contact_int, force, c))
             if resists_viscously(integers, numbers):
                 for row in range(integers[TANGENTS]):
                     force[c, row] += viscous_force(numbers, system.basis[c, row], system.slip[c])
@@ -152,14 +152,14 @@ def resistance_event_functions(system, first, total):
     status, contact_int = OK, system.contact_int
     for i in range(first, total):
         value = cleared(system.event_functions[i])
-        friction_event_functions(system, i, load_of_friction(contact_int, system.force, contact_int[i, OWNER]))
+        friction_event_functions(system, i, size_of_load(contact_int, system.force, contact_int[i, OWNER]))
         status = max(status, status_of(value))
     return status
 
 
 @kernel
 def friction_event_functions(system, c, load):
-    """Friction of item c under a load (`load_of_friction`): complete its force in slip, fill its event functions."""
+    """Friction of item c under a load |F_n|: complete its force in slip, fill its event functions."""
     integers, numbers, value, force = (
         system.contact_int[c],
         system.contact_real[c],
@@ -172,7 +172,7 @@ def friction_event_functions(system, c, load):
             tangential = abs(force[0])
             if tangents == 2:
                 tangential = friction_length(integers, numbers, force[0], force[1])
-            value[FRICTION_EVENT] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * abs(load) - tangential
+            value[FRICTION_EVENT] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
     elif integers[MODE] == SLIPPING:
         relative, direction = system.relative_acceleration[c], system.vectors[0]
         for row in range(3):

@@ -8,6 +8,7 @@ discs (`friction.loads`).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -75,11 +76,11 @@ class LoadedCones:
         return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
     def _pose(
-        self, closed: list[int], held: list[int], ahead: float = math.inf, normals: bool = False
+        self, closed: list[int], held: list[int], ahead: Mapping[int, float], normals: bool = False
     ) -> ContactProblem:
         """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does. ahead:
-        time in s in which friction is to end the slip velocities of what sticks, as in a time step of that size;
-        normals: and loads the normal velocities, which are met otherwise."""
+        times in s in which friction is to end the slip velocities of these items, if they stick, as in a time step of
+        that size; normals: and loads the normal velocities, which are met otherwise."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         slides = integers[:, MODE] == SLIPPING
@@ -93,8 +94,8 @@ class LoadedCones:
 
         def relative(i: int, rows: list[int]) -> np.ndarray:
             rates = system.rows[i, rows] @ free + system.bias[i, rows]
-            if ahead < math.inf and not slides[i] and i not in at_ends:
-                stopped = relative_velocity(system, i, rows) / ahead
+            if i in ahead and not slides[i] and i not in at_ends:
+                stopped = relative_velocity(system, i, rows) / ahead[i]
                 met = (np.array(rows) == 2) & (i < system.nc) & (not normals)
                 rates += np.where(met, 0.0, stopped)
             return rates

@@ -16,7 +16,7 @@ complementarity at acceleration level. They are resolved in this order:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +65,8 @@ _TO_STOP = 2.0
 _CLEARLY = 1e-3
 # So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
 _ROUNDS = 4
+# No slip that has just ended has a velocity left.
+AT_REST: Mapping[int, float] = {}
 
 
 class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
@@ -85,7 +87,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         evaluate: Callable[[float], int],
         beyond: int | None = None,
         status: int | None = None,
-        ahead: float = math.inf,
+        ahead: Mapping[int, float] = AT_REST,
     ) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
@@ -129,10 +131,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
         modes, limits = integers.copy(), system.joint_int.copy()
-        if ahead < math.inf:
-            ahead = max(ahead, _TO_STOP * max(map(self._time_to_stop, undecided), default=0.0))
+        longest = _TO_STOP * max(map(self._time_to_stop, set(ahead).intersection(undecided)), default=0.0)
+        ahead = {i: max(time, longest) for i, time in ahead.items()}
         decision = self._solve(t, evaluate, passing, ahead)
-        if ahead < math.inf and self._is_contradicted(decision):
+        if ahead and self._is_contradicted(decision):
             # what is left of slips, which are known no better, decides nothing then
             integers[:], system.joint_int[:] = modes, limits
             evaluate(t)
@@ -189,7 +191,11 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         return NO_FORCE
 
     def _solve(
-        self, t: float, evaluate: Callable[[float], int], passing: dict[int, float], ahead: float = math.inf
+        self,
+        t: float,
+        evaluate: Callable[[float], int],
+        passing: dict[int, float],
+        ahead: Mapping[int, float] = AT_REST,
     ) -> Decision:
         """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
         Where parts of several are too many, as at one edge of a body, one of them may keep the others open. Where that
@@ -261,10 +267,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         """
         self._take_reference(None)
         self._limits = self.system.contact_real[:, MU_STATIC].copy()
-        return self._solve_contacts(t, evaluate, ahead, True)
+        return self._solve_contacts(t, evaluate, dict.fromkeys(range(self.system.items), ahead), True)
 
     def _solve_contacts(
-        self, t: float, evaluate: Callable[[float], int], ahead: float = math.inf, normals: bool = False
+        self, t: float, evaluate: Callable[[float], int], ahead: Mapping[int, float], normals: bool = False
     ) -> Decision:
         """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances; ahead,
         normals: see `_pose`."""
@@ -306,7 +312,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             slowest = still if load > idle else AT_ZERO * solution.largest
             # among redundant contacts one may be at its limit of friction without sliding
             if integers[i, MODE] == STICK and kinds[i] != cone.STICK and rate > slowest:
-                goes_on = ahead < math.inf and self._slip_speed(i) > _SHOWS * ahead * rate
+                goes_on = i in ahead and self._slip_speed(i) > _SHOWS * ahead[i] * rate
                 freeze_slip(system, i, velocities[i, :2])
                 if not goes_on:
                     decision.started[i] = rate

@@ -52,12 +52,19 @@ def free_with_owners(contact_int, first, total):
 
 
 @kernel
-def load_of_friction(contact_int, force, c):
-    """|F_n| of contact c from forces along the bases; where F_n changes its sign within a trial step it is negative
-    beyond, as in `friction_directions`, and smooth."""
+def size_of_load(contact_int, force, c):
+    """|F_n| of contact c from forces along the bases."""
     if contact_int[c, PATTERN] == ON_CURVE:
         return math.hypot(force[c, 1], force[c, 2])
-    return force[c, 2] if contact_int[c, UNILATERAL] != 0 else contact_int[c, NORMAL_SIGN] * force[c, 2]
+    return abs(force[c, 2])
+
+
+@kernel
+def pulls(contact_int, force, c):
+    """Whether the load of contact c has changed its sign, as it may within a trial step."""
+    if contact_int[c, PATTERN] == ON_CURVE:
+        return False
+    return force[c, 2] < 0.0 if contact_int[c, UNILATERAL] != 0 else contact_int[c, NORMAL_SIGN] * force[c, 2] < 0.0
 
 
 @kernel

@@ -32,60 +32,76 @@ _TOUCHES = 1e-6
 
 
 class Beside:
-    """Body 1 of a contact of a system (`dynamics.system`), in any state, as seen from body 2.
+    """The body of a contact of a system (`dynamics.system`) that has no ends, or is smaller, in any state, as seen from
+    the piece, the other one, which has ends.
 
-    nearest: (k2,) parameters of body 2's point that is nearest to the middle of body 1 at the last look; distance: how
-    far from it that is, in m.
+    nearest: (k,) parameters of the piece's point that is nearest to the middle of the body at the last look; distance:
+    how far from it that is, in m; side: of the piece's normal on which the body is, +1 or -1, 0 where its middle is on
+    neither, or it is a point. is_second: whether the piece is body 2, of whose sides SIDE tells.
     """
 
     def __init__(self, system: Workspace, c: int) -> None:
         self.system, self.c = system, c
         contact = system.contacts[c]
-        self.piece: Contour = contact.body2.contour
-        self._middle, self._reach = middle_of(contact.body1.contour), reach_of(contact.body1.contour)
-        self.nearest, self.distance = np.zeros(self.piece.dimension), 0.0
+        self.is_second = Beside._is_piece(contact.body1.contour, contact.body2.contour)
+        bodies = (contact.body1, contact.body2) if self.is_second else (contact.body2, contact.body1)
+        body, self.piece = bodies[0].contour, bodies[1].contour
+        self._middle, self._reach = middle_of(body), reach_of(body)
+        self.nearest, self.distance, self.side = np.zeros(self.piece.dimension), 0.0, 0
         self._off = float(np.linalg.norm(self._middle))
         # where the middle was at the last look, when, and how far it may go from there
-        self._place, self._time, self._way = np.zeros(3), math.nan, 0.0
-        # speed in m/s and acceleration in m/s^2 of body 2's nearest point by its dependence on time, then
+        self._place, self._time, self._way, self._normal = np.zeros(3), math.nan, 0.0, np.zeros(3)
+        # speed in m/s and acceleration in m/s^2 of the piece's nearest point by its dependence on time, then
         self._rate = self.bending = 0.0
 
     @staticmethod
-    def is_seen(system: Workspace, c: int) -> bool:
-        """Whether body 2 of contact c has ends beside which a smaller body 1 may be, or one that has none, and that
-        matters: its side is told, or it has to be followed."""
-        contact, integers = system.contacts[c], system.contact_int[c]
-        one, two = contact.body1.contour, contact.body2.contour
-        if integers[PATTERN] not in (PLANAR, ON_SURFACE):
-            return False
-        if integers[CLOSED_FORM] != NO_CLOSED_FORM and (integers[K1] == 0 or contact.side is not None):
-            return False
+    def _is_piece(one: Contour, two: Contour) -> bool:
+        """Whether the second of two contours has ends beside which the first one may be, which has none or is
+        smaller."""
         if not (np.isfinite(two.ends()).any() and np.isfinite(one.domain).all()):
             return False
         smaller = least_whole((one, two), 0.0)
         return not np.isfinite(one.ends()).any() or (smaller is not None and smaller[0] == 0)
 
+    @staticmethod
+    def is_seen(system: Workspace, c: int) -> bool:
+        """Whether one of the bodies of contact c has ends beside which the other one may be, and that matters: its side
+        is told, or it has to be followed."""
+        contact, integers = system.contacts[c], system.contact_int[c]
+        one, two = contact.body1.contour, contact.body2.contour
+        if integers[PATTERN] not in (PLANAR, ON_SURFACE):
+            return False
+        if Beside._is_piece(one, two):
+            followed = integers[CLOSED_FORM] == NO_CLOSED_FORM
+            return followed or (integers[K1] != 0 and contact.side is None)
+        return one.dimension == two.dimension and Beside._is_piece(two, one)
+
+    def _frames(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the body and the piece."""
+        one, two = self.system.frames[2 * self.c : 2 * self.c + 2]
+        return (one, two) if self.is_second else (two, one)
+
     def place(self) -> np.ndarray:
-        """(3,) middle of body 1 in m in body 2's frame, as last evaluated."""
-        own, other = self.system.frames[2 * self.c], self.system.frames[2 * self.c + 1]
+        """(3,) middle of the body in m in the piece's frame, as last evaluated."""
+        own, other = self._frames()
         return np.asarray(other[:3].T @ (own[:3] @ self._middle + own[ORIGIN] - other[ORIGIN]))
 
     def speed(self) -> float:
-        """Its speed towards body 2 in m/s, at most."""
-        own, other = self.system.frames[2 * self.c : 2 * self.c + 2].tolist()
+        """Its speed towards the piece in m/s, at most."""
+        own, other = (frame.tolist() for frame in self._frames())
         turning = math.hypot(*own[OMEGA]) * self._off
         turning += math.hypot(*other[OMEGA]) * (math.dist(own[ORIGIN], other[ORIGIN]) + self._off)
         return math.dist(own[VELOCITY], other[VELOCITY]) + turning + self._rate
 
     def left(self, t: float) -> float:
-        """How far in m the middle may go before body 1 may touch, or is on another side, for all that was seen."""
+        """How far in m the middle may go before the body may touch, or is on another side, for all that was seen."""
         if self.piece.time_dependent and t != self._time:
             return 0.0
         return max(self._way - float(np.linalg.norm(self.place() - self._place)), 0.0)
 
-    def look(self, t: float) -> tuple[int, bool]:
-        """On which side of e_3 body 1 is at the last evaluation, +1 or -1, 0 where its middle is on neither, or it is a
-        point, and whether it is over body 2: the nearest point is at none of its ends."""
+    def look(self, t: float) -> bool:
+        """See on which side the body is at the last evaluation; whether it is over the piece: the nearest point is at
+        none of its ends."""
         self._place, self._time, piece, numbers = self.place(), t, self.piece, self.system.contact_real[self.c]
         u, values = nearest_point(piece, self._place, t)
         across = values[2] if piece.dimension == 2 else np.array([0.0, 0.0, 1.0])
@@ -96,15 +112,22 @@ class Beside:
         self.nearest, self._speeds = u, np.linalg.norm(values[1 : 1 + piece.dimension], axis=1)
         # so little, in any case, that it cannot touch before the next look from another side
         self._way = max(abs(height), self.distance - self._reach, float(numbers[OVERLAP]))
-        is_over = not any(u[a] in ends for a, ends in enumerate(piece.ends().reshape(2, 2)[: piece.dimension]))
         is_on = abs(height) <= SAME_PLACE * numbers[LENGTH] or self.system.contact_int[self.c, K1] == 0
-        return 0 if is_on else int(np.sign(height)), is_over
+        self.side = 0 if is_on else int(np.sign(height))
+        self._normal = normal
+        return not any(u[a] in ends for a, ends in enumerate(piece.ends().reshape(2, 2)[: piece.dimension]))
+
+    def is_turned(self) -> bool:
+        """Whether the contact, of which the piece is body 1, is at the last look on the side of the body that is turned
+        away from the piece: SIDE tells of the body's sides alone."""
+        across = float(self.system.basis[self.c, 2] @ self._frames()[1][:3] @ self._normal)
+        return across * self.side < 0.0
 
     def is_far(self) -> bool:
-        """Whether the contact is, at the last look, nowhere near where body 2 is nearest."""
-        if self.system.side_int[2 * self.c + 1, CHART] != 0:
+        """Whether the contact is, at the last look, nowhere near where the piece is nearest."""
+        if self.system.side_int[2 * self.c + self.is_second, CHART] != 0:
             return False
-        away = self.system.location[self.c, 2 : 2 + self.piece.dimension] - self.nearest
+        away = self.system.location[self.c, 2 * self.is_second :][: self.piece.dimension] - self.nearest
         return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
 
 

@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from ..dynamics.contact_modes import set_normal
 from ..dynamics.energy import energies_at
-from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
+from ..dynamics.modes import AT_REST, Decision, ModeSolver, rest_mode, shares_viscous_force
+from ..dynamics.units import REDUNDANT, whiten
 from ..layout import (
     DIRECTION_X,
     EVENT,
@@ -99,7 +100,7 @@ class ModeChanges:
         return undecided
 
     def resolve_modes(
-        self, t: float, undecided: list[int], beyond: int | None = None, ahead: float = math.inf
+        self, t: float, undecided: list[int], beyond: int | None = None, ahead: Mapping[int, float] = AT_REST
     ) -> Decision:
         """Decide modes, see `ModeSolver.resolve_modes`; the last evaluation is the one in them. Slips that leave no
         forces and may be stopped are."""
@@ -136,16 +137,15 @@ class ModeChanges:
         at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
         self._hold(ending)
         before, signs = system.contact_int[:, MODE].tolist(), system.contact_int[:, SLIP_SIGN].tolist()
-        # what is left of slips that have ended goes on where friction does not end it at once
-        ahead = self.ahead if at_rest else math.inf
-        self.resolve_modes(t, undecided, beyond, ahead)
+        # what is left of slips that have ended goes on where friction does not end it at once; what others have is none
+        self.resolve_modes(t, undecided, beyond, dict.fromkeys(at_rest, self.ahead))
         self._project_decided(t, explained)
         # what comes to rest may hold more
         stopped = self._stopped(t, before) if at_rest else []
         if stopped:
             self._hold(stopped)
             at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
-            self.resolve_modes(t, self.sticking(), beyond, ahead)
+            self.resolve_modes(t, self.sticking(), beyond, dict.fromkeys(at_rest, self.ahead))
             self._project_decided(t, explained)
         self.rk.accept()
         after = system.contact_int[:, MODE].tolist()
@@ -294,8 +294,22 @@ class ModeChanges:
             return []
         rows, bias = system.rows[closed, 2], system.bias[closed, 2]
         rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
-        parted = rates >= -least * (sizes + np.abs(bias))
+        parted = (rates >= -least * (sizes + np.abs(bias))) & ~self._kept(closed, idle)
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
+
+    def _kept(self, contacts: list[int], idle: list[int]) -> np.ndarray:
+        """(n,) which of these contacts stay closed without a force, as the others, but for idle ones, keep them so: of
+        four feet on a plane that stand on three."""
+        system = self.system
+        loaded = [c for c in system.closed() if c not in idle]
+        rows = [system.rows[c, 2] for c in loaded]
+        rows += [system.rows[c, row] for c in loaded for row in (0, 1) if self._sticks(c)]
+        own = whiten(system, system.rows[contacts, 2].T)
+        left = own
+        if rows:
+            others = whiten(system, np.array(rows).T)
+            left = own - others @ np.linalg.lstsq(others, own, rcond=REDUNDANT)[0]
+        return np.asarray(np.linalg.norm(left, axis=0) <= REDUNDANT * np.linalg.norm(own, axis=0))
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
         """The same of the last evaluation, within a step, for forces that move nothing. Those that leave an item at its

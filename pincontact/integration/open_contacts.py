@@ -143,7 +143,7 @@ class OpenContacts:
         """Have contacts that are beside ends, at the accepted state, which is evaluated, on the sides on which their
         bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
         beside until bodies are over each other, or have touched."""
-        integers = self.system.contact_int
+        integers, given = self.system.contact_int, [contact.side for contact in self.system.contacts]
         for c in self._list():
             # what comes over an end again may do so on the other side; curves cross beside their ends in any step
             may_turn = self.system.contact_real[c, DOMAIN] < 0.0 or integers[c, PATTERN] == CROSSING_CURVES
@@ -157,21 +157,23 @@ class OpenContacts:
                 continue
             holds = self._side_holds(t, c) if c in self._beside else 0.0
             if holds < h:
-                beside = self._seen(c)
-                told, is_over = beside.look(t)
-                side = integers.item(c, SIDE)
-                turns = self.system.contacts[c].side is None and told * side < 0
-                if turns or beside.is_far():
-                    self._move(t, c, told if turns else side, beside.nearest)
-                integers[c, BESIDE] = not is_over
+                beside, side = self._seen(c), integers.item(c, SIDE)
+                integers[c, BESIDE] = not beside.look(t)
+                if not beside.is_second:
+                    if beside.is_turned():
+                        self._move(t, c, side, None)
+                elif (turns := given[c] is None and beside.side * side < 0) or beside.is_far():
+                    self._move(t, c, beside.side if turns else side, beside.nearest)
                 holds = self._side_holds(t, c)
             self._hold = min(self._hold, holds)
 
     def _takes_sides(self, c: int) -> bool:
-        """Whether contact c is on the side on which its body comes over a piece, as none is given."""
+        """Whether contact c is on the side on which its body comes over a piece, as none of its sides is given."""
         if c not in self._two_sided:
-            takes = Beside.is_seen(self.system, c) or self.system.contact_int[c, PATTERN] == CROSSING_CURVES
-            self._two_sided[c] = self.system.contacts[c].side is None and bool(takes)
+            seen = Beside.is_seen(self.system, c)
+            given = self.system.contacts[c].side is not None and not (seen and not self._seen(c).is_second)
+            takes = seen or self.system.contact_int[c, PATTERN] == CROSSING_CURVES
+            self._two_sided[c] = bool(takes) and not given
         return self._two_sided[c]
 
     def crosses(self, c: int) -> bool:
@@ -206,15 +208,15 @@ class OpenContacts:
         beside, acceleration = self._beside[c], SAFETY * max(self._gravity, self.system.contact_real.item(c, SPEEDING))
         return time_to_cover(beside.left(t), beside.speed(), acceleration + SAFETY * beside.bending)
 
-    def _move(self, t: float, c: int, side: int, end: np.ndarray) -> None:
-        """Have contact c on this side, near a point (3,) in the world."""
+    def _move(self, t: float, c: int, side: int, end: np.ndarray | None) -> None:
+        """Have contact c on this side, near an end of body 2, if one is given, or where bodies are nearest."""
         system, single = self.system, self.system.alone(c)
         turns = side != system.contact_int[c, SIDE]
         system.contact_int[c, SIDE] = single.contact_int[0, SIDE] = side
         single.q[:], single.v[:] = system.q, system.v
         single.evaluate_kinematics(t)
         try:
-            found = find_candidates(single, t, np.full(4, np.nan), end=end)
+            found = find_candidates(single, t, np.full(4, np.nan), beyond=True, end=end)
         except SingularContactError:
             found = []
         if found:

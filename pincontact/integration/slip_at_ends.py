@@ -261,6 +261,9 @@ def turns_round(system):
         if along >= 0.0:
             continue
         first, second = dot(before, before), dot(slip, slip)
+        if min(first, second) <= number[START_TOLERANCE] ** 2:
+            # so slow that steps do not know where to
+            continue
         # squares of the area between both, and of the way from one to the other
         area, way = max(first * second - along * along, 0.0), first + second - 2.0 * along
         if area <= _PASSES**2 * way * min(first, second):

@@ -15,7 +15,8 @@ from ..callback import kernel_caller, separate_kernel
 from ..contours.charts import is_across_pole, turned_back
 from ..dynamics.equations import dry_friction_force
 from ..dynamics.manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
-from ..dynamics.resistance import count_items
+from ..dynamics.resistance import count_items, pulls
+from ..dynamics.sliding import resists_viscously, viscous_force
 from ..geometry.small import dot
 from ..jit import INTEGER, NOTHING, REAL, entry_kernel, kernel
 from ..layout import (
@@ -29,6 +30,8 @@ from ..layout import (
     MAX_STAGES,
     MODE,
     NUMBER_OF_WORKS,
+    OWNER,
+    SLIPPING,
     STICK,
     SYSTEM,
     TORQUE_WORK,
@@ -116,15 +119,22 @@ def _powers(system, nv, nc, out):
     for c in range(n):
         if contact_int[c, MODE] == FREE or nc <= c < nc + ng:
             continue
+        # accelerations have dry friction change its sign with the load, and so are smooth
+        owner = contact_int[c, OWNER] if c >= nc + ng else c
+        turned = contact_int[c, MODE] == SLIPPING and pulls(contact_int, force, owner)
         for row in range(3):
-            on_slip = force[c, row] * dot(basis[c, row], slip[c])
-            on_joints = 0.0
+            component, on_joints = force[c, row], 0.0
+            if turned and row < 2:
+                component = -component
+                if resists_viscously(contact_int[c], system.contact_real[c]):
+                    component += 2.0 * viscous_force(system.contact_real[c], basis[c, row], slip[c])
+            on_slip = component * dot(basis[c, row], slip[c])
             for k in range(nv):
                 on_joints += rows[c, row, k] * v[k]
             if row < 2 and contact_int[c, MODE] != STICK:
                 # what is held does no work; its small v_c within a step would only feed the error estimate
                 out[FRICTION_WORK] += on_slip
-            out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
+            out[DRIVE_WORK] += component * on_joints - on_slip
     joint_int = system.joint_int
     for g in range(ng):
         dry = dry_friction_force(contact_int[nc + g, MODE], joint_int[g], system.joint_real[g])

@@ -38,8 +38,11 @@ def test_slip_that_begins_and_turns_among_events():
     runs = Runs(random_motion(203628)[1])
     run, finer = (runs.run(**options) for options in ({}, {"rtol": 1e-10, "atol": 1e-12}))
     assert run.status == finer.status == 0
-    assert not any(event.kind == "separate" for event in run.events)
-    assert runs.apart(run, finer).max() < 1e-8
+    # nor does one open that the others keep closed, whatever is recorded
+    for one in (run, finer, runs.run(energies=False)):
+        assert not any(event.kind == "separate" for event in one.events)
+    # slip that has just begun, at nanometres a second, may come to rest for some ten millionths of a second
+    assert runs.apart(run, finer).max() < 5e-6
     assert differential.gain(run, runs.motion.passive, stepped=False) < 1e-9
 
 

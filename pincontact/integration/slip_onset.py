@@ -392,8 +392,8 @@ class SlipOnset:
         self.emit(t, tau)
         t += tau
         self.rk.load(state)
-        changes, integers = self.changes, self.system.contact_int
-        for c in self.system.frozen():
+        changes, integers, frozen = self.changes, self.system.contact_int, self.system.frozen()
+        for c in frozen:
             changes.started[c] = changes.slip_direction(c)
             self.age = tau
         integers[:, FROZEN] = 0
@@ -403,8 +403,21 @@ class SlipOnset:
         elif not self.rk.project(t, False):
             # v_c has come out in a direction in which friction alone holds nothing up: that slip has jammed
             changes.stop_slips(t, sliding)
+        self._stick_again(t, frozen)
         self.rk.accept()
         return t
+
+    def _stick_again(self, t: float, started: list[int]) -> None:
+        """Have what began to slip stick where no slip shows, as of redundant contacts that move together if at all, if
+        there are forces for that: v_c has no direction there."""
+        integers = self.system.contact_int
+        hidden = [c for c in started if integers[c, MODE] == SLIPPING and not self._shows([c])]
+        if len(hidden) in (0, len(started)):
+            return
+        integers[hidden, MODE] = STICK
+        if not self.changes.modes.choose(t, self.rk.evaluate):
+            integers[hidden, MODE] = SLIPPING
+            self.changes.modes.choose(t, self.rk.evaluate)
 
     def _until_event(self, t: float, step: float) -> float:
         """The part of the last trial step, which has been interpolated, in which nothing opens, closes, begins to slip

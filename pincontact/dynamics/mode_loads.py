@@ -30,6 +30,9 @@ from .units import ContactProblem, relative_velocity, unwhiten, whiten
 if TYPE_CHECKING:
     from .system import System
 
+# No slip that has just ended has a velocity left.
+AT_REST: Mapping[int, float] = {}
+
 
 class ModeSolution(NamedTuple):
     """Forces and relative accelerations (items, 3) along the rows of items, modes (items,) of their units, residual;
@@ -76,7 +79,7 @@ class LoadedCones:
         return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
     def _pose(
-        self, closed: list[int], held: list[int], ahead: Mapping[int, float], normals: bool = False
+        self, closed: list[int], held: list[int], ahead: Mapping[int, float] = AT_REST, normals: bool = False
     ) -> ContactProblem:
         """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does. ahead:
         times in s in which friction is to end the slip velocities of these items, if they stick, as in a time step of

@@ -43,7 +43,7 @@ from ..layout import (
 )
 from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_normal, shares_viscous_force
 from .directions import align_slips, freeze_slip
-from .mode_loads import LoadedCones
+from .mode_loads import AT_REST, LoadedCones
 from .passing_slip import PassingSlip
 from .redistribution import AT_ZERO
 from .single_mode_changes import ROUND_OFF, SingleModeChanges
@@ -65,8 +65,6 @@ _TO_STOP = 2.0
 _CLEARLY = 1e-3
 # So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
 _ROUNDS = 4
-# No slip that has just ended has a velocity left.
-AT_REST: Mapping[int, float] = {}
 
 
 class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
@@ -270,7 +268,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         return self._solve_contacts(t, evaluate, dict.fromkeys(range(self.system.items), ahead), True)
 
     def _solve_contacts(
-        self, t: float, evaluate: Callable[[float], int], ahead: Mapping[int, float], normals: bool = False
+        self, t: float, evaluate: Callable[[float], int], ahead: Mapping[int, float] = AT_REST, normals: bool = False
     ) -> Decision:
         """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances; ahead,
         normals: see `_pose`."""

@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from ..dynamics.contact_modes import set_normal
 from ..dynamics.energy import energies_at
-from ..dynamics.modes import AT_REST, Decision, ModeSolver, rest_mode, shares_viscous_force
+from ..dynamics.mode_loads import AT_REST
+from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
 from ..dynamics.units import REDUNDANT, whiten
 from ..layout import (
     DIRECTION_X,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from copy import copy as shallow
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,9 +31,8 @@ class Stepper:
 
     All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are views that the
     next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last
-    bit, and so does a stepper that is copied or pickled in between; the scene of a pickled one has no visual and
-    collision shapes. Steps are made without the interpreter's lock: steppers of their own run in threads side by side,
-    one stepper belongs to one thread at a time.
+    bit, and so does a stepper that is copied or pickled in between. Steps are made without the interpreter's lock:
+    steppers of their own run in threads side by side, one stepper belongs to one thread at a time.
 
     Parameters
     ----------
@@ -348,18 +346,13 @@ class Stepper:
         Stepper
         """
         twin = type(self).__new__(type(self))
-        twin.__setstate__(self.__getstate__() | {"scene": self.scene})
+        twin.__setstate__(self.__getstate__())
         return twin
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a pickled stepper consists of: its situation and the scene, not its memory.
-
-        Shapes, of which meshes may have hundreds of megabytes, do not go with it.
-        """
-        scene = shallow(self.scene)
-        scene.visual_model = scene.collision_model = None
+        """What a pickled stepper consists of: its situation and the scene, not its memory."""
         return {
-            "scene": scene,
+            "scene": self.scene,
             "state": self.state,
             "dt": self.dt,
             "contact_solver": self._contact_solver,

@@ -545,7 +545,7 @@ def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypa
     if not solves:
         assert (decision.status, solved.asked) == (status, [])
         return
-    assert solved.asked == [(T, evaluate, {}, math.inf)]
+    assert solved.asked == [(T, evaluate, {}, {})]
     # what has exceeded its limit is held by sliding friction
     assert solver._limits.tolist() == [0.5, 0.5 if beyond is None else 0.3, 0.3]
     assert decision.status == 7
@@ -557,7 +557,7 @@ def test_what_passes_is_no_longer_undecided(monkeypatch):
     system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False, status=OK)
     evaluate = Played(system, OK, EVENT)
     decision = solver.resolve_modes(T, [0, 1], evaluate)
-    assert solved.asked == [(T, evaluate, {0: 0.7}, math.inf)]
+    assert solved.asked == [(T, evaluate, {0: 0.7}, {})]
     assert len(evaluate.asked) == 2
     assert decision.started == {2: 2.0}
     system, solver, solved = deciding(monkeypatch, passing={2: 0.7})
@@ -567,7 +567,7 @@ def test_what_passes_is_no_longer_undecided(monkeypatch):
     system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
     evaluate = Played(system, OK, EVENT, OK)
     solver.resolve_modes(T, [0, 1], evaluate)
-    assert solved.asked == [(T, evaluate, {0: 0.7}, math.inf), (T, evaluate, {}, math.inf)]
+    assert solved.asked == [(T, evaluate, {0: 0.7}, {}), (T, evaluate, {}, {})]
     assert len(evaluate.asked) == 3 and system.contact_int[0, MODE] == STICK
     # what begins beside it is decided with it
     system, solver, solved = deciding(monkeypatch, passing={1: 0.7}, holds=False)
@@ -818,7 +818,7 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
     monkeypatch.setattr(solver, "_solve_posed", solve)
     solver._solve_contacts(T, Played(system))
     # with the limits that the slip found so far has left
-    assert posed.asked == [([0, 1, 2, 3], [], math.inf, False)] * 3
+    assert posed.asked == [([0, 1, 2, 3], [], {}, False)] * 3
     assert limits == [[0.5, 0.5, 0.3, 0.5], [0.3, 0.5, 0.3, 0.5], [0.3, 0.3, 0.3, 0.5]]
     monkeypatch.setattr(solver, "_solve_posed", saying(None))
     decision = solver._solve_contacts(T, never)

@@ -9,7 +9,6 @@ import sys
 import tracemalloc
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from test_moreau import G, ball_scene, block_scene, double_pendulum, joint_scene, upright
 
@@ -110,17 +109,6 @@ def test_copies_go_on_alike(make, duplicate, contact_solver):
     # the copy has not moved with the original
     assert twin.t == pytest.approx(0.06)
     np.testing.assert_array_equal(drive(twin, taus[60:]), ahead)
-
-
-def test_shapes_are_not_pickled():
-    """Meshes may be a thousand times as large as all the rest."""
-    (scene, state), shapes = bouncing(), pin.GeometryModel()
-    scene = pc.Scene(scene.model, visual_model=shapes, collision_model=shapes)
-    stepper = pc.Stepper(scene, scene.initial_state(state.q, state.v))
-    there = pickle.loads(pickle.dumps(stepper))
-    assert there.scene.visual_model is None and there.scene.collision_model is None
-    assert stepper.copy().scene is stepper.scene is scene and scene.visual_model is shapes
-    assert (stepper.step().q == there.step().q).all()
 
 
 def test_a_pickled_stepper_goes_on_in_another_process(tmp_path):

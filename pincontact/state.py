@@ -416,7 +416,7 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     beside = Beside(single, 0) if Beside.is_seen(single, 0) else None
     if beside is not None:
         is_over = beside.look(t)
-        end = None if is_over or not beside.is_second else beside.nearest
+        end = None if is_over else beside.end
     try:
         found = find_candidates(single, t, guess, beyond=True, end=end)
     except SingularContactError:

@@ -166,6 +166,25 @@ def test_a_ball_goes_round_an_edge_onto_the_side_face(faces_first, method):
     assert (y[beside] < -radius + 1e-5).all()
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_the_order_of_naming_does_not_matter_in_a_plane(seed, monkeypatch):
+    make, add = track(seed, False), pc.Scene.add_contact
+    ends = []
+    for pieces_first in (False, True):
+
+        def add_either_way(scene, name, *rest, pieces_first=pieces_first, **options):
+            pair, options["side"] = rest[:2], None
+            return add(scene, name, *(pair[::-1] if pieces_first else pair), *rest[2:], **options)
+
+        monkeypatch.setattr(pc.Scene, "add_contact", add_either_way)
+        scene, start = make(False)
+        run = pc.simulate(scene, start, 1.2)
+        assert run.status == 0, run.message
+        ends.append(run.q[-1])
+    # error control sees the contact coordinates in another order
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-6)
+
+
 def hill(side=None):
     """A line up to a kink, and one down: from below, the wheel is under what the second would go on as."""
     scene, slope = pc.Scene(wheel(0.1)), 0.5

@@ -37,7 +37,8 @@ class Beside:
 
     nearest: (k,) parameters of the piece's point that is nearest to the middle of the body at the last look; distance:
     how far from it that is, in m; side: of the piece's normal on which the body is, +1 or -1, 0 where its middle is on
-    neither, or it is a point. is_second: whether the piece is body 2, of whose sides SIDE tells.
+    neither, or it is a point. is_second: whether the piece is body 2, of whose sides SIDE tells; where it is body 1,
+    SIDE tells of the body's, of which that which faces the piece is nearer.
     """
 
     def __init__(self, system: Workspace, c: int) -> None:
@@ -117,11 +118,17 @@ class Beside:
         self._normal = normal
         return not any(u[a] in ends for a, ends in enumerate(piece.ends().reshape(2, 2)[: piece.dimension]))
 
+    @property
+    def end(self) -> tuple[int, np.ndarray]:
+        """The piece, 0 or 1, and `nearest`."""
+        return int(self.is_second), self.nearest
+
     def is_turned(self) -> bool:
-        """Whether the contact, of which the piece is body 1, is at the last look on the side of the body that is turned
-        away from the piece: SIDE tells of the body's sides alone."""
-        across = float(self.system.basis[self.c, 2] @ self._frames()[1][:3] @ self._normal)
-        return across * self.side < 0.0
+        """Whether the contact is, at the last look, on another side of the piece than the body, and none is given."""
+        system = self.system
+        if self.is_second:
+            return system.contacts[self.c].side is None and self.side * int(system.contact_int[self.c, SIDE]) < 0
+        return bool(self.side * (system.basis[self.c, 2] @ self._frames()[1][:3] @ self._normal) < 0.0)
 
     def is_far(self) -> bool:
         """Whether the contact is, at the last look, nowhere near where the piece is nearest."""

@@ -143,7 +143,7 @@ class OpenContacts:
         """Have contacts that are beside ends, at the accepted state, which is evaluated, on the sides on which their
         bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
         beside until bodies are over each other, or have touched."""
-        integers, given = self.system.contact_int, [contact.side for contact in self.system.contacts]
+        integers = self.system.contact_int
         for c in self._list():
             # what comes over an end again may do so on the other side; curves cross beside their ends in any step
             may_turn = self.system.contact_real[c, DOMAIN] < 0.0 or integers[c, PATTERN] == CROSSING_CURVES
@@ -157,13 +157,11 @@ class OpenContacts:
                 continue
             holds = self._side_holds(t, c) if c in self._beside else 0.0
             if holds < h:
-                beside, side = self._seen(c), integers.item(c, SIDE)
+                beside = self._seen(c)
                 integers[c, BESIDE] = not beside.look(t)
-                if not beside.is_second:
-                    if beside.is_turned():
-                        self._move(t, c, side, None)
-                elif (turns := given[c] is None and beside.side * side < 0) or beside.is_far():
-                    self._move(t, c, beside.side if turns else side, beside.nearest)
+                turns = beside.is_turned()
+                if turns or beside.is_far():
+                    self._move(t, c, beside.side if turns and beside.is_second else integers.item(c, SIDE), beside.end)
                 holds = self._side_holds(t, c)
             self._hold = min(self._hold, holds)
 
@@ -208,15 +206,15 @@ class OpenContacts:
         beside, acceleration = self._beside[c], SAFETY * max(self._gravity, self.system.contact_real.item(c, SPEEDING))
         return time_to_cover(beside.left(t), beside.speed(), acceleration + SAFETY * beside.bending)
 
-    def _move(self, t: float, c: int, side: int, end: np.ndarray | None) -> None:
-        """Have contact c on this side, near an end of body 2, if one is given, or where bodies are nearest."""
+    def _move(self, t: float, c: int, side: int, end: tuple[int, np.ndarray]) -> None:
+        """Have contact c on this side, near an end, see `find_candidates`."""
         system, single = self.system, self.system.alone(c)
         turns = side != system.contact_int[c, SIDE]
         system.contact_int[c, SIDE] = single.contact_int[0, SIDE] = side
         single.q[:], single.v[:] = system.q, system.v
         single.evaluate_kinematics(t)
         try:
-            found = find_candidates(single, t, np.full(4, np.nan), beyond=True, end=end)
+            found = find_candidates(single, t, np.full(4, np.nan), end=end)
         except SingularContactError:
             found = []
         if found:

@@ -281,3 +281,37 @@ def test_a_solution_inside_bodies_is_none(side):
     start = [0.0, 0.0, float(np.linalg.norm(axes * turned[2])), *pin.Quaternion(turned).coeffs()]
     with pytest.raises(pc.SolverError, match="'c' are inside each other"):
         pc.find_equilibrium(scene, start)
+
+
+def test_friction_holds_a_ladder_or_does_not():
+    """Forces are redundant with friction at both ends: the ladder stands from (1 - mu1 mu2) / (2 mu1) = tan(angle) on,
+    by forces inside both cones."""
+    rng, standing = np.random.default_rng(3), 0
+    length = 2.0
+    for _ in range(30):
+        floor_mu, wall_mu = rng.uniform(0.2, 0.9, 2)
+        least = math.atan((1.0 - floor_mu * wall_mu) / (2.0 * floor_mu))
+        angle = least + rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.15)
+        lever = pin.Inertia(10.0, np.array([0.5 * length, 0.0, 0.0]), 10.0 * length**2 / 12.0 * np.eye(3))
+        model = one_body(pin.JointModelPlanar(), lever, "ladder")
+        model.gravity.linear = np.array([0.0, -G, 0.0])
+        scene = pc.Scene(model)
+        turned = pin.SE3(pin.utils.rotate("x", -0.5 * math.pi), np.zeros(3))
+        facing = pin.SE3(pin.utils.rotate("y", 0.5 * math.pi), np.zeros(3))
+        foot = scene.add_contour("foot", pc.Point(), "ladder")
+        top = scene.add_contour("top", pc.Point(), "ladder", pin.SE3(np.eye(3), np.array([length, 0.0, 0.0])))
+        floor, wall = (
+            scene.add_contour(f"plane{i}", pc.Plane(), placement=at) for i, at in enumerate((turned, facing))
+        )
+        scene.add_contact("floor", foot, floor, friction=pc.Coulomb(floor_mu))
+        scene.add_contact("wall", top, wall, friction=pc.Coulomb(wall_mu))
+        turn = math.pi - angle
+        q = np.array([length * math.cos(angle), 0.0, math.cos(turn), math.sin(turn)])
+        found = pc.find_equilibrium(scene, q)
+        assert found.holds == (angle > least)
+        if found.holds:
+            standing += 1
+            (across, up, _), (push, hold, _) = -found.forces["floor"], -found.forces["wall"]
+            assert abs(across) <= floor_mu * up * (1.0 + 1e-9) and abs(hold) <= wall_mu * push * (1.0 + 1e-9)
+            assert up + hold == pytest.approx(10.0 * G, rel=1e-12)
+    assert 5 < standing < 25

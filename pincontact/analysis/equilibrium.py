@@ -270,8 +270,10 @@ def _search(
     check_joint_limits(instant.system.limits, q)
     instant.tau = instant.tau + holding @ point[3]
     state = instant.state(q, v)
+    holds = instant.holds()
+    forces = instant.forces()
     _check_sides(instant, what)
-    return SteadyMotion(state, instant.tau, instant.forces(), size, instant.holds(), iterations)
+    return SteadyMotion(state, instant.tau, forces, size, holds, iterations)
 
 
 def _check_sides(instant: Instant, what: str) -> None:

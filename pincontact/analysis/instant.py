@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.joints import JointLimit, joint_limits
+from ..dynamics.redistribution import RedundantForces
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
@@ -417,7 +418,12 @@ class Instant:
         return {contact.name: point for contact, point in zip(system.contacts, points)}
 
     def holds(self) -> bool:
-        """Whether in the last evaluation nothing unilateral pulls and nothing that rests exceeds its friction."""
+        """Whether in the last evaluation nothing unilateral pulls and nothing that rests exceeds its friction. Of
+        redundant forces those inside all cones are chosen where the least are not, if there are any."""
+        return self._lies_within() or RedundantForces(self.system).choose(self.t, self.system.evaluate)
+
+    def _lies_within(self) -> bool:
+        """Whether all forces of the last evaluation are within their bounds, but for round-off."""
         system = self.system
         items = [*system.closed(), *system.resisting(), *(system.nc + g for g in system.held())]
         margins = system.event_functions[items][:, [NORMAL_EVENT, FRICTION_EVENT]]

@@ -132,6 +132,24 @@ def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
     assert redundant == (unmet > 1e-3)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_that_friction_holds_give_way_to_gaps(seed):
+    """They hold wherever they are: a gap that only one of them can close is closed by it."""
+    system = closed_contacts(np.random.default_rng(seed), False)
+    system.rows[0, 2] = 0.0
+    system.rows[0, 2, 6] = 0.7
+    q, gaps, bounds = system.q, system.gaps.copy(), system.joint_real
+    gaps[4:6, 0] = q[3] - bounds[0, LOW_END], q[5] - bounds[1, HIGH_END]
+    part(evaluation.contact_corrections, SYSTEM)(system)
+    firm = [(c, row) for c, row in LISTED if (row == 2 or c == 1) and c != 6]
+    left = np.array([gaps[c, 2 - row] for c, row in firm])
+    rows, inverse = np.array([system.rows[c, row] for c, row in firm]), np.linalg.inv(system.factor)
+    expected = inverse @ np.linalg.pinv(rows @ inverse, rcond=1e-9) @ -left
+    # systems with condition numbers of up to 1e3
+    assert system.correction_q == pytest.approx(expected, abs=1e-9)
+    assert rows[0] @ system.correction_q == pytest.approx(-gaps[0, 0], abs=1e-9)
+
+
 def test_rows_of_normals():
     expected = {(ON_SURFACE, 2): True, (ON_CURVE, 2): True, (ON_CURVE, 1): True}
     for pattern in (ON_SURFACE, ON_CURVE, NO_NORMAL):

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -98,10 +99,10 @@ class Contact:
         law = "frictionless" if self.friction is None else repr(self.friction)
         return f"<Contact {self.name!r}: {self.pattern.name} of {self.first.name!r} and {self.second.name!r}, {law}>"
 
-    @property
+    @cached_property
     def swapped(self) -> bool:
-        """Whether the user named the contours the other way round than the paper does, which has k2 >= k1."""
-        return self.first.contour.dimension > self.second.contour.dimension
+        """Whether `first` is body 2."""
+        return in_order(self.first, self.second)[1] is self.first
 
     @property
     def bodies(self) -> frozenset[tuple[int, Motion | None]]:
@@ -110,7 +111,7 @@ class Contact:
 
     @property
     def body1(self) -> AttachedContour:
-        """The paper's body 1, the contour with fewer parameters; the first one where both have as many."""
+        """The paper's body 1, the contour with fewer parameters; see `in_order` where both have as many."""
         return self.second if self.swapped else self.first
 
     @property
@@ -120,8 +121,22 @@ class Contact:
 
 
 def in_order(first: AttachedContour, second: AttachedContour) -> tuple[AttachedContour, AttachedContour]:
-    """The paper's bodies 1 and 2: the contour with fewer parameters, the first one where both have as many."""
-    return (second, first) if first.contour.dimension > second.contour.dimension else (first, second)
+    """The paper's bodies 1 and 2: the contour with fewer parameters; of two with as many the one beside whose end the
+    other one may be is body 2, as SIDE tells of its sides, and else the second one."""
+    one, two = first.contour, second.contour
+    if one.dimension == two.dimension:
+        swaps = may_be_beside(two, one)
+    else:
+        swaps = one.dimension > two.dimension
+    return (second, first) if swaps else (first, second)
+
+
+def may_be_beside(body: Contour, piece: Contour) -> bool:
+    """Whether a contour is a piece with ends beside which another one may be, which is bounded, and has none or is
+    smaller."""
+    if not (np.isfinite(piece.ends()).any() and np.isfinite(body.domain).all()):
+        return False
+    return not np.isfinite(body.ends()).any() or body.size < piece.size
 
 
 class Assembly:

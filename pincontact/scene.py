@@ -370,8 +370,8 @@ class Scene(Assembly):
         location : (u_first, u_second), optional
             Guess of the location parameters: of each contour as many numbers as it has parameters (m, rad), or None.
         side : {1, -1}, optional
-            On which side of e_3 body 1, the contour with fewer parameters, lies; inferred, if not given, at the start,
-            and wherever it comes over body 2.
+            On which side of e_3 body 1 (`Contact.body1`) lies; inferred, if not given, at the start, and wherever it
+            comes over body 2.
         restitution : float
             Newton's coefficient, 0 to 1, when the contact closes again.
 

@@ -416,7 +416,7 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     beside = Beside(single, 0) if Beside.is_seen(single, 0) else None
     if beside is not None:
         is_over = beside.look(t)
-        end = None if is_over else beside.end
+        end = None if is_over else beside.nearest
     try:
         found = find_candidates(single, t, guess, beyond=True, end=end)
     except SingularContactError:
@@ -433,7 +433,7 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
         single.evaluate_kinematics(t)
         return _Found(found, side_of_crossing(single, 0) or 1, True)
     is_beyond = bool(found) and not comes_back(single, found[0])
-    if beside is not None and beside.is_second and (is_beyond or not (is_over and found)):
+    if beside is not None and (is_beyond or not (is_over and found)):
         side = side or beside.side
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
         # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies

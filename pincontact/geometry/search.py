@@ -91,13 +91,13 @@ class Candidate:
 
 
 def find_candidates(
-    system: Workspace, t: float, guess: np.ndarray, beyond: bool = False, end: tuple[int, np.ndarray] | None = None
+    system: Workspace, t: float, guess: np.ndarray, beyond: bool = False, end: np.ndarray | None = None
 ) -> list[Candidate]:
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
     guess (4,): contact coordinates, NaN where unknown. A complete guess is the only start. beyond: where there is none
-    inside the contours' domains, those on their continuations, where nothing touches, will do. end: a body, 0 or 1, and
-    parameters (k,) of an end of it, beyond which it goes on as well; that which is nearest to it is first.
+    inside the contours' domains, those on their continuations, where nothing touches, will do. end (k2,): parameters of
+    an end of body 2, beyond which it goes on as well; that which is nearest to it is first.
     Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """
     contact = system.contacts[0]
@@ -133,20 +133,19 @@ def find_candidates(
         )
     if end is None:
         return sorted(found, key=lambda c: abs(c.gap))
-    i, u = end
-    body, same = (contact.body1, contact.body2)[i], SAME_PLACE * system.contact_real[0, LENGTH]
-    point = pose_of(system.data, body, t).act(body.contour.point(u.tolist(), t))
+    contour, same = contact.body2.contour, SAME_PLACE * system.contact_real[0, LENGTH]
+    point = pose_of(system.data, contact.body2, t).act(contour.point(end.tolist(), t))
     for candidate in found:
-        _unwind(body.contour, candidate, i, u, t, same)
+        _unwind(contour, candidate, end, t, same)
     # of both sides of a place the nearer one
-    return sorted(found, key=lambda c: (round(float(np.linalg.norm(c.points[i] - point)) / same), abs(c.gap)))
+    return sorted(found, key=lambda c: (round(float(np.linalg.norm(c.point - point)) / same), abs(c.gap)))
 
 
-def _unwind(contour: Contour, found: Candidate, i: int, end: np.ndarray, t: float, same: float) -> None:
-    """Have angles on body i, of which Newton's method may have gone round, as near to those of an end as the same point
+def _unwind(contour: Contour, found: Candidate, end: np.ndarray, t: float, same: float) -> None:
+    """Have angles on body 2, of which Newton's method may have gone round, as near to those of an end as the same point
     has them: domains with ends are not periodic."""
-    own = found.location[2 * i : 2 * i + contour.dimension]
-    point = contour.point(own.tolist(), t) if found.charts[i] == 0 else None
+    own = found.location[2 : 2 + contour.dimension]
+    point = contour.point(own.tolist(), t) if found.charts[1] == 0 else None
     for a in range(contour.dimension if point is not None else 0):
         back = own.copy()
         back[a] -= 2.0 * math.pi * round((own[a] - end[a]) / (2.0 * math.pi))

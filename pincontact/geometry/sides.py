@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from ..contacts import Contact
+from ..contacts import Contact, may_be_beside
 from ..contours import Contour
 from ..contours.base import F_T, F_TT
 from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import OMEGA, ORIGIN, VELOCITY
 from .location import NO_CLOSED_FORM
-from .nearest import least_whole
 from .patterns import ON_SURFACE, PLANAR
 from .search import Candidate, sample
 from .single_touch import middle_of, reach_of
@@ -35,61 +34,40 @@ class Beside:
     """The body of a contact of a system (`dynamics.system`) that has no ends, or is smaller, in any state, as seen from
     the piece, the other one, which has ends.
 
-    nearest: (k,) parameters of the piece's point that is nearest to the middle of the body at the last look; distance:
+    nearest: (k2,) parameters of the piece's point that is nearest to the middle of the body at the last look; distance:
     how far from it that is, in m; side: of the piece's normal on which the body is, +1 or -1, 0 where its middle is on
-    neither, or it is a point. is_second: whether the piece is body 2, of whose sides SIDE tells; where it is body 1,
-    SIDE tells of the body's, of which that which faces the piece is nearer.
+    neither, or it is a point.
     """
 
     def __init__(self, system: Workspace, c: int) -> None:
         self.system, self.c = system, c
-        contact = system.contacts[c]
-        self.is_second = Beside._is_piece(contact.body1.contour, contact.body2.contour)
-        bodies = (contact.body1, contact.body2) if self.is_second else (contact.body2, contact.body1)
-        body, self.piece = bodies[0].contour, bodies[1].contour
+        body, self.piece = system.contacts[c].body1.contour, system.contacts[c].body2.contour
         self._middle, self._reach = middle_of(body), reach_of(body)
         self.nearest, self.distance, self.side = np.zeros(self.piece.dimension), 0.0, 0
         self._off = float(np.linalg.norm(self._middle))
         # where the middle was at the last look, when, and how far it may go from there
-        self._place, self._time, self._way, self._normal = np.zeros(3), math.nan, 0.0, np.zeros(3)
+        self._place, self._time, self._way = np.zeros(3), math.nan, 0.0
         # speed in m/s and acceleration in m/s^2 of the piece's nearest point by its dependence on time, then
         self._rate = self.bending = 0.0
 
     @staticmethod
-    def _is_piece(one: Contour, two: Contour) -> bool:
-        """Whether the second of two contours has ends beside which the first one may be, which has none or is
-        smaller."""
-        if not (np.isfinite(two.ends()).any() and np.isfinite(one.domain).all()):
-            return False
-        smaller = least_whole((one, two), 0.0)
-        return not np.isfinite(one.ends()).any() or (smaller is not None and smaller[0] == 0)
-
-    @staticmethod
     def is_seen(system: Workspace, c: int) -> bool:
-        """Whether one of the bodies of contact c has ends beside which the other one may be, and that matters: its side
-        is told, or it has to be followed."""
+        """Whether body 2 of contact c has ends beside which body 1 may be, and that matters: its side is told, or it
+        has to be followed."""
         contact, integers = system.contacts[c], system.contact_int[c]
-        one, two = contact.body1.contour, contact.body2.contour
         if integers[PATTERN] not in (PLANAR, ON_SURFACE):
             return False
-        if Beside._is_piece(one, two):
-            followed = integers[CLOSED_FORM] == NO_CLOSED_FORM
-            return followed or (integers[K1] != 0 and contact.side is None)
-        return one.dimension == two.dimension and Beside._is_piece(two, one)
-
-    def _frames(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the body and the piece."""
-        one, two = self.system.frames[2 * self.c : 2 * self.c + 2]
-        return (one, two) if self.is_second else (two, one)
+        followed = integers[CLOSED_FORM] == NO_CLOSED_FORM or (integers[K1] != 0 and contact.side is None)
+        return bool(followed) and may_be_beside(contact.body1.contour, contact.body2.contour)
 
     def place(self) -> np.ndarray:
         """(3,) middle of the body in m in the piece's frame, as last evaluated."""
-        own, other = self._frames()
+        own, other = self.system.frames[2 * self.c : 2 * self.c + 2]
         return np.asarray(other[:3].T @ (own[:3] @ self._middle + own[ORIGIN] - other[ORIGIN]))
 
     def speed(self) -> float:
         """Its speed towards the piece in m/s, at most."""
-        own, other = (frame.tolist() for frame in self._frames())
+        own, other = self.system.frames[2 * self.c : 2 * self.c + 2].tolist()
         turning = math.hypot(*own[OMEGA]) * self._off
         turning += math.hypot(*other[OMEGA]) * (math.dist(own[ORIGIN], other[ORIGIN]) + self._off)
         return math.dist(own[VELOCITY], other[VELOCITY]) + turning + self._rate
@@ -115,26 +93,17 @@ class Beside:
         self._way = max(abs(height), self.distance - self._reach, float(numbers[OVERLAP]))
         is_on = abs(height) <= SAME_PLACE * numbers[LENGTH] or self.system.contact_int[self.c, K1] == 0
         self.side = 0 if is_on else int(np.sign(height))
-        self._normal = normal
         return not any(u[a] in ends for a, ends in enumerate(piece.ends().reshape(2, 2)[: piece.dimension]))
 
-    @property
-    def end(self) -> tuple[int, np.ndarray]:
-        """The piece, 0 or 1, and `nearest`."""
-        return int(self.is_second), self.nearest
-
     def is_turned(self) -> bool:
-        """Whether the contact is, at the last look, on another side of the piece than the body, and none is given."""
-        system = self.system
-        if self.is_second:
-            return system.contacts[self.c].side is None and self.side * int(system.contact_int[self.c, SIDE]) < 0
-        return bool(self.side * (system.basis[self.c, 2] @ self._frames()[1][:3] @ self._normal) < 0.0)
+        """Whether the contact is, at the last look, on another side than the body, and none is given."""
+        return self.system.contacts[self.c].side is None and self.side * self.system.contact_int.item(self.c, SIDE) < 0
 
     def is_far(self) -> bool:
         """Whether the contact is, at the last look, nowhere near where the piece is nearest."""
-        if self.system.side_int[2 * self.c + self.is_second, CHART] != 0:
+        if self.system.side_int[2 * self.c + 1, CHART] != 0:
             return False
-        away = self.system.location[self.c, 2 * self.is_second :][: self.piece.dimension] - self.nearest
+        away = self.system.location[self.c, 2:][: self.piece.dimension] - self.nearest
         return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
 
 

@@ -161,17 +161,15 @@ class OpenContacts:
                 integers[c, BESIDE] = not beside.look(t)
                 turns = beside.is_turned()
                 if turns or beside.is_far():
-                    self._move(t, c, beside.side if turns and beside.is_second else integers.item(c, SIDE), beside.end)
+                    self._move(t, c, beside.side if turns else integers.item(c, SIDE), beside.nearest)
                 holds = self._side_holds(t, c)
             self._hold = min(self._hold, holds)
 
     def _takes_sides(self, c: int) -> bool:
         """Whether contact c is on the side on which its body comes over a piece, as none of its sides is given."""
         if c not in self._two_sided:
-            seen = Beside.is_seen(self.system, c)
-            given = self.system.contacts[c].side is not None and not (seen and not self._seen(c).is_second)
-            takes = seen or self.system.contact_int[c, PATTERN] == CROSSING_CURVES
-            self._two_sided[c] = bool(takes) and not given
+            takes = Beside.is_seen(self.system, c) or self.system.contact_int[c, PATTERN] == CROSSING_CURVES
+            self._two_sided[c] = bool(takes) and self.system.contacts[c].side is None
         return self._two_sided[c]
 
     def crosses(self, c: int) -> bool:
@@ -206,7 +204,7 @@ class OpenContacts:
         beside, acceleration = self._beside[c], SAFETY * max(self._gravity, self.system.contact_real.item(c, SPEEDING))
         return time_to_cover(beside.left(t), beside.speed(), acceleration + SAFETY * beside.bending)
 
-    def _move(self, t: float, c: int, side: int, end: tuple[int, np.ndarray]) -> None:
+    def _move(self, t: float, c: int, side: int, end: np.ndarray) -> None:
         """Have contact c on this side, near an end, see `find_candidates`."""
         system, single = self.system, self.system.alone(c)
         turns = side != system.contact_int[c, SIDE]

@@ -207,11 +207,14 @@ class EventLocator:
         if not self._is_way(c, kind) or c >= self.system.nc:
             return True
         system = self.system
-        system.counters.sought_item, system.counters.sought_kind = c, kind
-        system.run(FIND_ZERO, t, step)
-        known[c, kind] = system.scan_shares.item(LOOK_ROW)
+        if (c, kind) in known:
+            ends, _ = system.look(t, step, known[c, kind])
+        else:
+            system.counters.sought_item, system.counters.sought_kind = c, kind
+            system.run(FIND_ZERO, t, step)
+            known[c, kind] = system.scan_shares.item(LOOK_ROW)
+            ends = bool(system.scan_status[LOOK_ROW] <= EVENT)
         gap, domain = system.gaps.item(c, 0), system.contact_real.item(c, DOMAIN)
-        ends = bool(system.scan_status[LOOK_ROW] <= EVENT)
         if kind == GAP_EVENT:
             ends = ends and domain >= 0.0
         elif ends and gap < -max(deepest_at_end(system, c), system.slack.item(c, kind)):
@@ -234,15 +237,21 @@ class EventLocator:
     ) -> Crossing:
         """First of the event functions `crossed` that turn negative between the samples on both sides; known: zeros;
         until: the share of the later sample."""
-        system = self.system
-        system.sought[:] = NOT_SOUGHT
-        for item in self._open.passed:
-            system.sought[item, [GAP_EVENT, DOMAIN_EVENT]] = LEFT_OUT
-        for pair in crossed:
-            system.sought[pair] = known.get(pair, UNKNOWN)
-        c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
-        value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
-        return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value, until)
+        system, rows = self.system, (self.system.scan_shares, self.system.scan_event_functions)
+        right = [row[RIGHT_ROW].copy() for row in rows]
+        while True:
+            system.sought[:] = NOT_SOUGHT
+            for item in self._open.passed:
+                system.sought[item, [GAP_EVENT, DOMAIN_EVENT]] = LEFT_OUT
+            for pair in crossed:
+                system.sought[pair] = known.get(pair, UNKNOWN)
+            c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
+            theta, value = system.scan_shares.item(RIGHT_ROW), system.scan_event_functions.item(RIGHT_ROW, c, kind)
+            # what is negative between the samples only has not been asked yet
+            if (c, kind) in crossed or self._ends_mode(t, step, c, kind, {(c, kind): theta}):
+                return Crossing(theta, c, kind, value, until)
+            for row, values in zip(rows, right):
+                row[RIGHT_ROW] = values
 
     # ---------------------------------------------------------------- true steps
 

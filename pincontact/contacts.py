@@ -101,8 +101,12 @@ class Contact:
 
     @cached_property
     def swapped(self) -> bool:
-        """Whether `first` is body 2."""
-        return in_order(self.first, self.second)[1] is self.first
+        """Whether `first` is body 2: the contour with more parameters, or a piece with ends beside which the other one
+        may be, on a side that has to be seen."""
+        one, two = self.first.contour, self.second.contour
+        if one.dimension != two.dimension:
+            return one.dimension > two.dimension
+        return self.side is None and not self.bilateral and may_be_beside(two, one)
 
     @property
     def bodies(self) -> frozenset[tuple[int, Motion | None]]:
@@ -111,7 +115,7 @@ class Contact:
 
     @property
     def body1(self) -> AttachedContour:
-        """The paper's body 1, the contour with fewer parameters; see `in_order` where both have as many."""
+        """The paper's body 1: the contour with fewer parameters, and what else `swapped` says."""
         return self.second if self.swapped else self.first
 
     @property
@@ -121,14 +125,8 @@ class Contact:
 
 
 def in_order(first: AttachedContour, second: AttachedContour) -> tuple[AttachedContour, AttachedContour]:
-    """The paper's bodies 1 and 2: the contour with fewer parameters; of two with as many the one beside whose end the
-    other one may be is body 2, as SIDE tells of its sides, and else the second one."""
-    one, two = first.contour, second.contour
-    if one.dimension == two.dimension:
-        swaps = may_be_beside(two, one)
-    else:
-        swaps = one.dimension > two.dimension
-    return (second, first) if swaps else (first, second)
+    """The contour with fewer parameters, then the other one; as they are where both have as many."""
+    return (second, first) if first.contour.dimension > second.contour.dimension else (first, second)
 
 
 def may_be_beside(body: Contour, piece: Contour) -> bool:

@@ -22,6 +22,7 @@ from .contacts import (
     check_placement,
     in_order,
     in_pairs,
+    may_be_beside,
     place_on_joint,
 )
 from .contours import Contour
@@ -419,12 +420,16 @@ class Scene(Assembly):
         if friction is not None:
             check_friction(name, friction, one, two, found)
         check_location(name, a, b, location)
+        is_bilateral = bool(bilateral) or found.constraints == 2
+        if side == 1 and not is_bilateral and a.contour.dimension == b.contour.dimension:
+            # a piece that is outside a body: on which of its own sides has to be seen
+            side = None if may_be_beside(b.contour, a.contour) else side
         contact = Contact(
             name,
             a,
             b,
             friction,
-            bool(bilateral) or found.constraints == 2,
+            is_bilateral,
             found,
             location,
             None if side is None else int(side),

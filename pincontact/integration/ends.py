@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..geometry.carriers import ORIGIN
+from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.small import dot, norm
 from ..jit import kernel
-from ..layout import CARRIER, CHART, DOMAIN, LENGTH
+from ..layout import BESIDE, CARRIER, CHART, DOMAIN, LENGTH, PATTERN
 from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, gap_rate, rest_speed, round_off
 
 if TYPE_CHECKING:
@@ -62,6 +63,12 @@ def passes_by(system: RunSystem, c: int) -> bool:
     near = system.contact_real[c, LENGTH] * APART_AT_END
     domains = system.contact_real[:nc, DOMAIN]
     return bool(is_kept_out(system, c, system.gaps[:nc, 0], rates, domains, known_to, near, rest_speed(system)))
+
+
+@kernel
+def is_on_either_side(contact):
+    """Whether a contact, its integers, is of curves that cross, whose side beside their ends is not told."""
+    return contact[PATTERN] == CROSSING_CURVES and contact[BESIDE] != 0
 
 
 @kernel

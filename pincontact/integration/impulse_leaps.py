@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from ..dynamics.evaluation import are_at_one_place
 from ..geometry.location import NO_CLOSED_FORM
-from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.small import dot, norm
 from ..jit import kernel
 from ..layout import (
-    BESIDE,
     CLOSED_FORM,
     DOMAIN,
     FREE,
@@ -18,10 +16,10 @@ from ..layout import (
     NEXT,
     NOTHING_THERE,
     OVERLAP,
-    PATTERN,
     UNILATERAL,
 )
 from .accuracy import APART_AT_END, LEAPS
+from .ends import is_on_either_side
 from .impulse_units import passes_by
 
 # A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
@@ -62,7 +60,7 @@ def overlaps_at_end(system, step, c, h):
     entered = step.start_domain[c] < 0.0 <= numbers[DOMAIN] and step.start_gap[c] < NOTHING_THERE
     if not (entered and contact[UNILATERAL] != 0 and -numbers[OVERLAP] <= gap < 0.0):
         return False
-    if contact[PATTERN] == CROSSING_CURVES and contact[BESIDE] != 0:
+    if is_on_either_side(contact):
         return False
     rate = dot(system.basis[c, 2], system.slip[c])
     return is_deeper(system, step, c, gap, rate, h) and passes_by(system, step, c, 1.0) == 0

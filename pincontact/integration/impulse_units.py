@@ -30,7 +30,7 @@ from ..layout import (
 )
 from ..linalg import inner
 from .accuracy import APART_AT_END, REST
-from .ends import is_beside, is_kept_out
+from .ends import is_beside, is_kept_out, is_on_either_side
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, STEP
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
@@ -156,7 +156,10 @@ def _when_it_touches(system, step, c):
         instant = _touch_instant(gap, speed, rate, touching, h)
         if instant != NEVER and later < math.inf:
             part = instant / ahead if ahead > 0.0 else 0.0
-            if _way_at(start, later, part) < 0.0:
+            way = _way_at(start, later, part)
+            # what comes over the very end of a curve that it crosses goes through no gap
+            comes_over = start < 0.0 and is_on_either_side(system.contact_int[c]) and way <= _known_to(system, step, c)
+            if way < 0.0 or comes_over:
                 instant = NEVER
             elif passes_by(system, step, c, part) != 0:
                 instant = PASSING

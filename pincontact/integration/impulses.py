@@ -67,6 +67,7 @@ from ..linalg import inner, unwhiten
 from ..workspace import flat
 from .accuracy import APART_AT_END, SHALLOW
 from .actuators import find_actuation
+from .ends import is_on_either_side
 from .impulse_drives import note_drives
 from .impulse_equations import equation_impulses
 from .impulse_layout import (
@@ -458,7 +459,7 @@ def commit_contact(system, step, c, stepped):
     # what came in from behind, where it was beside the contours, or is followed there since Newton's method has gone
     # over to other stationary points, touches after it has been on the near side only, as far as steps tell
     behind, h = False, step.numbers.h
-    if step.instant[c] == PASSING:
+    if step.instant[c] == PASSING or (step.start_domain[c] < 0.0 and is_on_either_side(system.contact_int[c])):
         behind = True
     elif step.behind[c] != 0 or step.start_domain[c] <= APART_AT_END * system.contact_real[c, LENGTH]:
         behind = is_deeper(system, step, c, gap, rate, h)

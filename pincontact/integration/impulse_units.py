@@ -20,6 +20,7 @@ from ..layout import (
     FREE,
     LENGTH,
     MU,
+    NOTHING_THERE,
     ROLLING,
     SLIPPING,
     SPINNING,
@@ -61,9 +62,13 @@ def _touch_instant(gap, speed, rate, touching, h):
 
 
 @kernel
-def _way_at(start, later, part):
-    """The way of a contact to the nearest end after this part of the time between the step's start and the evaluated
+def _way_at(system, step, c, part):
+    """The way of contact c to the nearest end after this part of the time between the step's start and the evaluated
     state, by the ways there."""
+    start, later = step.start_domain[c], system.contact_real[c, DOMAIN]
+    if system.gaps[c, 0] >= NOTHING_THERE:
+        # beyond all ends, wherever it comes from
+        return later
     return later if start == math.inf or later == math.inf else start + (later - start) * part
 
 
@@ -82,9 +87,9 @@ def _known_to(system, step, c):
 def passes_by(system, step, c, part):
     """Whether contact c is at an end after this part of the time between the step's start and the evaluated state, as
     far as positions are known, and is kept out there; 0 or 1."""
-    numbers, start, ways = system.contact_real, step.start_domain, step.touch_ways
+    ways = step.touch_ways
     for i in range(system.sizes.nc):
-        ways[i] = _way_at(start[i], numbers[i, DOMAIN], part)
+        ways[i] = _way_at(system, step, i, part)
     known_to = _known_to(system, step, c)
     if not abs(ways[c]) <= known_to:
         return 0
@@ -123,7 +128,7 @@ def _strikes_beside(system, step, c):
         falls = i != c and speed < -REST and gap + speed * h < 0.0
         if falls and step.start_mode[i] == FREE and step.behind[i] == 0 and is_beside(system, c, i, near):
             part = max(gap, 0.0) / (-speed * ahead)
-            inside = _way_at(step.start_domain[i], system.contact_real[i, DOMAIN], part) >= 0.0
+            inside = _way_at(system, step, i, part) >= 0.0
             if inside and passes_by(system, step, i, part) == 0:
                 return True
     return False
@@ -148,7 +153,7 @@ def _when_it_touches(system, step, c):
     start, later, instant = step.start_domain[c], system.contact_real[c, DOMAIN], NEVER
     if abs(gap) <= touching and abs(speed) * h <= touching and start < 0.0 and ahead > 0.0:
         # at rest on what it comes over in the step
-        comes = _way_at(start, later, h / ahead) >= 0.0
+        comes = _way_at(system, step, c, h / ahead) >= 0.0
         instant = SPREAD if comes and not _strikes_beside(system, step, c) else NEVER
     elif trend != 0:
         # before that nothing tells whether it touches, which depends on what holds the bodies
@@ -156,7 +161,7 @@ def _when_it_touches(system, step, c):
         instant = _touch_instant(gap, speed, rate, touching, h)
         if instant != NEVER and later < math.inf:
             part = instant / ahead if ahead > 0.0 else 0.0
-            way = _way_at(start, later, part)
+            way = _way_at(system, step, c, part)
             # what comes over the very end of a curve that it crosses goes through no gap
             comes_over = start < 0.0 and is_on_either_side(system.contact_int[c]) and way <= _known_to(system, step, c)
             if way < 0.0 or comes_over:

@@ -270,8 +270,8 @@ def test_moving_start_without_symmetries():
 
 
 @pytest.mark.parametrize("side", [None, 1])
-def test_a_solution_inside_bodies_is_none(side):
-    """The search for where an ellipsoid stands on a saddle leads through the ground, to where it would hang below."""
+def test_a_search_does_not_go_through_bodies(side):
+    """To where an ellipsoid would hang below a saddle: it stands on it, with its centre above the point of contact."""
     model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)))
     scene, axes = pc.Scene(model), np.array([0.1, 0.15, 0.2])
     turned = pin.exp3(1.2 * np.random.default_rng(1).normal(size=3))
@@ -279,8 +279,34 @@ def test_a_solution_inside_bodies_is_none(side):
     scene.add_contour("saddle", pc.HeightField(lambda x, y: 0.5 * x * x - 0.5 * y * y))
     scene.add_contact("c", "ellipsoid", "saddle", side=side)
     start = [0.0, 0.0, float(np.linalg.norm(axes * turned[2])), *pin.Quaternion(turned).coeffs()]
-    with pytest.raises(pc.SolverError, match="'c' are inside each other"):
-        pc.find_equilibrium(scene, start)
+    found = pc.find_equilibrium(scene, start)
+    # one of its axes is vertical
+    assert np.abs(axes - found.state.q[2]).min() < 1e-9
+    np.testing.assert_allclose(found.forces["c"], [0.0, 0.0, -9.81], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_ball_in_a_bowl_ends_in_it(seed):
+    """With its mass off its middle, it may have gone round its poles on the way."""
+    rng = np.random.default_rng(seed)
+    model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, 0.02 * rng.normal(size=3), 0.01 * np.eye(3)))
+    scene, (a, b), c = pc.Scene(model), rng.uniform(0.3, 1.2, 2), rng.uniform(-0.2, 0.2)
+    scene.add_contour("ball", pc.Sphere(0.15), "body")
+    scene.add_contour("bowl", pc.HeightField(lambda x, y: 0.5 * (a * x * x + b * y * y) + c * x * y))
+    scene.add_contact("c", "ball", "bowl")
+    start = [0.0, 0.0, 0.15, *pin.Quaternion(pin.exp3(rng.normal(size=3))).coeffs()]
+    assert pc.find_equilibrium(scene, start).state.q[2] == pytest.approx(0.15, abs=1e-9)
+
+
+def test_an_equilibrium_beyond_an_end_is_none():
+    """The lowest point of what a bowl would go on as."""
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia.FromSphere(0.1, 0.05)))
+    scene.add_contour("ball", pc.Sphere(0.05), "body")
+    piece = pc.ParametricSurface(lambda x, y: (x, y, 0.5 * (x * x + y * y)), domain=((0.2, 1.0), (-1.0, 1.0)))
+    scene.add_contour("bowl", piece)
+    scene.add_contact("c", "ball", "bowl")
+    with pytest.raises(pc.SolverError, match="contact 'c' is beyond the end of a contour"):
+        pc.find_equilibrium(scene, scene.initial_state([0.5, 0.0, 0.2], max_gap=1.0).q)
 
 
 def test_friction_holds_a_ladder_or_does_not():

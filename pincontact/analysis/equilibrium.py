@@ -13,7 +13,7 @@ from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
 from ..geometry.search import stationary_points
-from ..layout import BRANCH, CHART, SIDE, UNILATERAL
+from ..layout import BRANCH, CHART, DOMAIN, END_MARGIN, SIDE, UNILATERAL
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -114,7 +114,7 @@ def find_equilibrium(
     SingularContactError
         Where contacts degenerate at q0.
     SolverError
-        Where no equilibrium is found; the message has the residual, or the contact whose bodies are inside each other.
+        Where no equilibrium is found; the message has the residual, or the contact that is beyond a contour's end.
 
     Examples
     --------
@@ -234,6 +234,8 @@ def _search(
 
     def closed(point: Point) -> Point:
         q, v = instant.projected(*point[:2])
+        # a search may not go through bodies
+        _refuse_other_sides(instant)
         return q, v if moves else point[1], *point[2:]
 
     def residual(point: Point) -> np.ndarray:
@@ -272,24 +274,27 @@ def _search(
     state = instant.state(q, v)
     holds = instant.holds()
     forces = instant.forces()
-    _check_sides(instant, what)
+    beyond = np.flatnonzero(instant.system.contact_real[: instant.system.nc, DOMAIN] < -END_MARGIN).tolist()
+    for c in beyond:
+        raise SolverError(
+            f"no {what} was found near this configuration: in that to which the search led, contact "
+            f"{instant.system.contacts[c].name!r} is beyond the end of a contour; start elsewhere"
+        )
     return SteadyMotion(state, instant.tau, forces, size, holds, iterations)
 
 
-def _check_sides(instant: Instant, what: str) -> None:
-    """Refuse what touches on the other side: a search may go through bodies."""
+def _refuse_other_sides(instant: Instant) -> None:
+    """Raise SolverError where a contact touches on the other side, in the last evaluation: its bodies are inside each
+    other."""
     system = instant.system
     for c in np.flatnonzero(system.contact_int[: system.nc, UNILATERAL]).tolist():
-        single, (chart1, chart2) = system.alone(c), system.side_int[2 * c : 2 * c + 2, CHART].tolist()
+        single, charts = system.alone(c), system.side_int[2 * c : 2 * c + 2, CHART].tolist()
         single.q[:], single.v[:] = system.q, system.v
-        here, _ = stationary_points(
-            single, instant.t, system.location[c : c + 1], [system.contact_int[c, BRANCH]], charts=(chart1, chart2)
-        )
+        branches, place = [system.contact_int[c, BRANCH]], system.location[c : c + 1]
+        # angles may have gone round poles in the search
+        here, _ = stationary_points(single, instant.t, place, branches, inside=False, charts=(charts[0], charts[1]))
         if here and here[0].side * system.contact_int[c, SIDE] < 0:
-            raise SolverError(
-                f"no {what} was found near this configuration: in that to which the search led, the bodies of contact "
-                f"{system.contacts[c].name!r} are inside each other; start elsewhere"
-            )
+            raise SolverError(f"the bodies of contact {system.contacts[c].name!r} are inside each other")
 
 
 def _solve(

@@ -384,6 +384,10 @@ class Driver:
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
         closes = rk.project(t_new, not interpolated, rk.error)
+        if opened.is_near and step > _RESTART * system.scalars.floor and self.transitions.misses(t_new):
+            self._take_back(told, kept)
+            system.scalars.next_step = FAILED_FACTOR * step
+            return t, False
         self.outputs.keep(t, t_new, step)
         if not closes:
             return self._give_way(t_new, system.new_state, step), True

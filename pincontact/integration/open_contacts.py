@@ -564,14 +564,18 @@ class OpenContacts:
         self.passed.add(c)
         if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
             return True
+        inside = self.is_inside(t, c)
+        if inside is None:
+            self.find(t, c)
+        return not inside
+
+    def is_inside(self, t: float, c: int) -> bool | None:
+        """Whether bodies of contact c are inside each other where it is, at t; None if nearest elsewhere."""
         known = self._nearness(c, t)
         if known.search is None:
-            return False
+            return bool(self.system.gaps[c, 0] < 0.0)
         found = known.look(t).candidate
-        if found is not None and self._is_present(c, found):
-            return found.gap > 0.0
-        self.find(t, c)
-        return True
+        return found.gap <= 0.0 if found is not None and self._is_present(c, found) else None
 
     def is_behind(self, t: float, c: int) -> bool:
         """Whether the bodies of contact c, which is open and has a negative gap at the evaluated state, are inside or

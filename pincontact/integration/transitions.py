@@ -14,6 +14,7 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
+from ..geometry.patterns import CROSSING_CURVES
 from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
@@ -29,6 +30,7 @@ from ..layout import (
     NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
+    PATTERN,
     SINGULAR,
     SLIPPING,
     SPEED_EVENT,
@@ -221,6 +223,17 @@ class Transitions:
             return t
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
+
+    def misses(self, t: float) -> bool:
+        """Whether bodies that were apart are inside each other in the evaluated state at t, the end of a trial step in
+        which none was seen to touch, as where no nearest point was found on the way."""
+        system, opened = self.system, self.open
+        crosses = (system.contact_int[:, PATTERN] == CROSSING_CURVES) | (system.contact_int[:, UNILATERAL] == 0)
+        for c in np.flatnonzero((system.modes == FREE) & opened.apart & ~crosses[: system.nc]).tolist():
+            within = system.gaps[c, 0] < 0.0 <= system.contact_real[c, DOMAIN] and c not in opened.passed
+            if within and opened.has_leapt(c, self.penetration.slack(c)) and opened.is_inside(t, c):
+                return True
+        return False
 
     def _is_again(self, t: float, c: int) -> bool:
         """Whether redundant forces have been chosen anew at this very instant for contact c, which did not do: others

@@ -25,7 +25,7 @@ from .dynamics.manifold import (
 )
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
-from .geometry.nearest import NearestSearch, is_searched
+from .geometry.nearest import Nearest, NearestSearch, is_searched
 from .geometry.patterns import CROSSING_CURVES
 from .geometry.search import Candidate, comes_back, find_candidates, on_side
 from .geometry.sides import Beside, middle_of_domains, side_of_all, side_of_crossing
@@ -435,9 +435,12 @@ def _candidates(scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray,
     is_beyond = bool(found) and not comes_back(single, found[0])
     if beside is not None and (is_beyond or not (is_over and found)):
         side = side or beside.side
+    if is_over and found and found[0].gap < 0.0 and is_searched(single, 0):
+        # stationary points that are not those where bodies are nearest
+        nearest = _look(single, t).candidates
+        found = nearest if nearest and 0.0 <= nearest[0].gap < -found[0].gap else found
     if is_over and found and found[0].gap < 0.0 and is_searched(single, 0) and _are_apart(single, t):
-        # stationary points that are not those where bodies are nearest; what contours go on as may go through bodies
-        # or, as points may be, behind a contour
+        # what contours go on as may go through bodies or, as points may be, behind a contour
         as_found = is_beyond or single.contact_int[0, K1] == 0
         found = [one for one in found if one.gap >= 0.0] or (found if as_found else _beside(single, t, guess))
     is_nowhere = not found and is_searched(single, 0) and _are_apart(single, t)
@@ -470,11 +473,17 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
 
 def _are_apart(single: System, t: float) -> bool:
     """Whether the bodies of a system with one contact are apart at its (q, v), for certain."""
+    return _look(single, t).distance > 0.0
+
+
+def _look(single: System, t: float) -> Nearest:
+    """Where the bodies of a system with one contact are nearest at its (q, v); nowhere that is known, if neither is
+    bounded."""
     bodies = single.contacts[0].body1, single.contacts[0].body2
     if not any(np.isfinite(body.contour.domain).all() for body in bodies):
-        return False
+        return Nearest([], 0.0, 0.0, False)
     single.evaluate_kinematics(t)
-    return NearestSearch(single, 0, t).search(t).distance > 0.0
+    return NearestSearch(single, 0, t).search(t)
 
 
 def _together(untouched: dict[str, NoContactError]) -> NoContactError:

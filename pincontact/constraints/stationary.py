@@ -6,6 +6,7 @@ import math
 
 from ..arrays import array_entry
 from ..contours.base import F_11, F_12, F_22
+from ..contours.charts import is_across_pole, turned_back
 from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import change_charts
 from ..geometry.location import ROUND_ON_PLANE
@@ -20,6 +21,7 @@ from ..layout import (
     FREE,
     K1,
     K2,
+    KIND,
     LOCATION_FAILED,
     MODE,
     OK,
@@ -68,9 +70,24 @@ def _find(system, start, charts):
         # also where Newton's method ended at a pole
         if status in (OK, LOCATION_FAILED) and _choose_charts(system):
             status = contact_kinematics(system, 0, False)
+        # there normals would be turned inside out
+        if status == OK and _turn_back(system):
+            status = contact_kinematics(system, 0, False)
         if status == OK:
             return OK
     return status
+
+
+@kernel
+def _turn_back(system):
+    """Have the same points in parameters that have run over no poles of their charts; whether any had."""
+    location, turned = system.location[0], False
+    for side in range(2):
+        ints, shape, k = system.side_int[side], system.side_shape[side], 2 * side
+        if is_across_pole(ints[KIND], ints[CHART], shape, location[k + 1]):
+            location[k], location[k + 1] = turned_back(ints[KIND], ints[CHART], shape, location[k], location[k + 1])
+            turned = True
+    return turned
 
 
 @kernel
@@ -109,40 +126,61 @@ def _describe(system, branch, integers, reals):
 
 @kernel
 def _bending_side(system):
-    """Sign of e_3 . (curvature of body 1 - curvature of body 2): the side towards which body 1 bends away.
+    """Side of body 2 towards which body 1 bends away from what is as far from body 2 as body 1 is: there they are
+    nearest. 0 for points, for crossing curves, and where the relative curvature has no definite sign.
 
-    0 for points, for crossing curves, and where the relative curvature has no definite sign.
+    With m and l the fundamental forms of body 2 along e_3, and g the distance of body 1, the parallel surface at g has
+    the curvature b . m^-1 l p along a tangent with the products b with those of body 2, where (m - g l) p = b.
     """
     integers = system.contact_int[0]
     k1, k2 = integers[K1], integers[K2]
     if k1 == 0 or integers[PATTERN] == CROSSING_CURVES:
         return 0
     first, second = system.derivatives[0], system.derivatives[1]
-    normal, sign = system.basis[0, 2], -float(integers[SIDE])
+    normal, sign, gap = system.basis[0, 2], -float(integers[SIDE]), 0.0
+    for i in range(3):
+        way = system.frames[0, ORIGIN, i] + first[0, i] - system.frames[1, ORIGIN, i] - second[0, i]
+        gap += sign * normal[i] * way
     m11, m12, m22 = dot(second[1], second[1]), 0.0, 1.0
-    l11, l12, l22 = dot(second[F_11], normal), 0.0, 0.0
+    l11, l12, l22 = sign * dot(second[F_11], normal), 0.0, 0.0
     if k2 == 2:
         m12, m22 = dot(second[1], second[2]), dot(second[2], second[2])
-        l12, l22 = dot(second[F_12], normal), dot(second[F_22], normal)
-    determinant = m11 * m22 - m12 * m12
-    if not determinant > 0.0:
+        l12, l22 = sign * dot(second[F_12], normal), sign * dot(second[F_22], normal)
+    if not m11 * m22 - m12 * m12 > 0.0:
         return 0
-    # body 1's tangents in parameters of body 2, (x, y) for each
-    x1, y1 = _in_parameters(first[1], second, k2, m11, m12, m22)
-    r11 = sign * (dot(first[F_11], normal) - (l11 * x1 * x1 + 2.0 * l12 * x1 * y1 + l22 * y1 * y1))
+    n11, n12, n22 = m11 - gap * l11, m12 - gap * l12, m22 - gap * l22
+    if not (n11 * n22 - n12 * n12 > 0.0 and n11 > 0.0):
+        # beyond a centre of curvature
+        n11, n12, n22 = m11, m12, m22
+    b1, c1 = _products(first[1], second, k2)
+    x1, y1 = _curved(b1, c1, n11, n12, n22, l11, l12, l22, m11, m12, m22)
+    r11 = sign * dot(first[F_11], normal) - (b1 * x1 + c1 * y1)
     if k1 == 1:
         return int(r11 > 0.0) - int(r11 < 0.0)
-    x2, y2 = _in_parameters(first[2], second, k2, m11, m12, m22)
-    r12 = sign * (dot(first[F_12], normal) - (l11 * x1 * x2 + l12 * (x1 * y2 + x2 * y1) + l22 * y1 * y2))
-    r22 = sign * (dot(first[F_22], normal) - (l11 * x2 * x2 + 2.0 * l12 * x2 * y2 + l22 * y2 * y2))
+    b2, c2 = _products(first[2], second, k2)
+    x2, y2 = _curved(b2, c2, n11, n12, n22, l11, l12, l22, m11, m12, m22)
+    r12 = sign * dot(first[F_12], normal) - (b1 * x2 + c1 * y2)
+    r22 = sign * dot(first[F_22], normal) - (b2 * x2 + c2 * y2)
     if not r11 * r22 - r12 * r12 > 0.0:
         return 0
     return 1 if r11 > 0.0 else -1
 
 
 @kernel
-def _in_parameters(tangent, second, k2, m11, m12, m22):
-    """Parameters (x, y) of body 2 along a tangent (3,), by its metric."""
-    along1, along2 = dot(second[1], tangent), dot(second[2], tangent) if k2 == 2 else 0.0
-    scale = 1.0 / (m11 * m22 - m12 * m12)
-    return scale * (m22 * along1 - m12 * along2), scale * (m11 * along2 - m12 * along1)
+def _products(tangent, second, k2):
+    """Of a tangent (3,) with those of body 2."""
+    return dot(second[1], tangent), dot(second[2], tangent) if k2 == 2 else 0.0
+
+
+@kernel
+def _curved(b, c, n11, n12, n22, l11, l12, l22, m11, m12, m22):
+    """m^-1 l n^-1 (b, c), of symmetric matrices (2, 2)."""
+    p, q = _solved(b, c, n11, n12, n22)
+    return _solved(l11 * p + l12 * q, l12 * p + l22 * q, m11, m12, m22)
+
+
+@kernel
+def _solved(b, c, n11, n12, n22):
+    """Solution of a symmetric system (2, 2)."""
+    scale = 1.0 / (n11 * n22 - n12 * n12)
+    return scale * (n22 * b - n12 * c), scale * (n11 * c - n12 * b)

@@ -330,8 +330,11 @@ class NearestSearch:
         if (distances + whole.rounding <= reaches + whole.radius).any():
             starts += self._deepest(points, neighbourhood)
         found, are_singular = self._candidates(t, starts)
+        known = _nearest_of(found)
+        if known > float(distances.min()) + whole.rounding and self._winds_around():
+            found, singular = self._candidates(t, self._along(t, points))
+            known, are_singular = _nearest_of(found), are_singular or singular
         # what is nearer than cells tell may be where a regular nearest point is
-        known = min((float(np.linalg.norm(one.points[1] - one.points[0])) for one in found), default=math.inf)
         touches = least.min() == 0.0 and known > float(reaches.max() + whole.radius)
         is_around = are_singular and not any(one.gap < 0.0 for one in found) and self._touch(t, distances, touches)
         return found, is_around
@@ -391,6 +394,29 @@ class NearestSearch:
         order = highest[np.argsort(-distances[highest])]
         return [(int(nearest[i]), i) for i in spaced(samples, order, most, _STARTS)]
 
+    def _winds_around(self) -> bool:
+        """Whether the whole contour is a closed curve, or has one for a core, which may be as far from the divided one
+        all along, but for less than cells tell: a hoop around a ball."""
+        return self.whole.core.dimension == 1 and not np.isfinite([*self.whole.core.ends(), *self.divided.ends()]).any()
+
+    def _along(self, t: float, points: np.ndarray) -> list[tuple[int, int]]:
+        """Samples of the whole contour, a curve, that are nearer to the divided one than their neighbours, or farther,
+        and its points (n, 3) that are next to them."""
+        (rotation, centre), cells = self.pose(), self._cells
+        samples = (self.whole.points - self.whole.centre) @ rotation.T + centre
+        _, nearest = scipy.spatial.cKDTree(points).query(samples)
+        apart = np.empty(len(samples))
+        for first in range(0, len(samples), MOST_FEET):
+            targets = samples[first : first + MOST_FEET]
+            n = cells.counts["feet"] = len(targets)
+            cells.targets[:n], cells.feet[:n] = targets, cells.middles[nearest[first : first + n]]
+            find_feet(cells.address)
+            feet = evaluated(self.divided, cells.feet[:n], t)[:, 0]
+            apart[first : first + n] = np.linalg.norm(feet - targets, axis=1)
+        before, after = np.roll(apart, 1), np.roll(apart, -1)
+        extreme = ((apart <= before) & (apart <= after)) | ((apart >= before) & (apart >= after))
+        return [(int(nearest[i]), i) for i in np.flatnonzero(extreme)[:MOST_FEET].tolist()]
+
     def _candidates(self, t: float, starts: list[tuple[int, int]]) -> tuple[list[Candidate], bool]:
         """Stationary points to which Newton's method leads, the nearest first, and whether any are singular. starts:
         cells and samples of the whole contour."""
@@ -424,6 +450,11 @@ class NearestSearch:
         rotation, centre = self.pose()
         x, y, z = ((points - centre) @ rotation).T
         return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - self.whole.core.size)], axis=1)
+
+
+def _nearest_of(found: list[Candidate]) -> float:
+    """Distance in m of the points of the nearest one of candidates."""
+    return min((float(np.linalg.norm(one.points[1] - one.points[0])) for one in found), default=math.inf)
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:

@@ -1,0 +1,68 @@
+"""Hoops and tori around a ball, nearly on its axis: all of them is as near to it but for little, and what is nearest
+runs round them fast. The distances are closed forms."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from shared import one_body
+
+import pincontact as pc
+
+BALL = 0.3
+RINGS = {"hoop": (pc.Circle, 0.0), "torus": (pc.Torus, 0.04)}
+
+
+def gap(q, radius, tube):
+    """Of the nearest point of a ring to the ball at the origin."""
+    pose = pin.XYZQUATToSE3(q)
+    centre = pose.rotation.T @ -pose.translation
+    return np.hypot(np.hypot(*centre[:2]) - radius, centre[2]) - tube - BALL
+
+
+@pytest.mark.parametrize("kind", RINGS)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_ring_bounces_on_a_ball(seed, kind):
+    rng, (shape, tube) = np.random.default_rng(seed), RINGS[kind]
+    radius = rng.uniform(0.1, 0.28)
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.011, 0.011, 0.02]))
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
+    scene.add_contour("ring", shape(*([radius, tube] if tube else [radius])), "body")
+    scene.add_contour("ball", pc.Sphere(BALL))
+    law = pc.Coulomb(0.4) if seed % 2 else None
+    names = ("ring", "ball")[:: 1 if rng.random() < 0.5 else -1]
+    scene.add_contact("c", *names, law, restitution=rng.choice([0.0, 0.5, 0.8]))
+    turned = pin.exp3(np.r_[0.3 * rng.normal(size=2), 0.0]) @ pin.utils.rotate("z", rng.uniform(0.0, 6.0))
+    height = np.sqrt((BALL + tube) ** 2 - radius**2) + rng.uniform(0.02, 0.1)
+    q = np.r_[0.02 * rng.normal(size=2), height, pin.Quaternion(turned).coeffs()]
+    v = np.r_[0.1 * rng.normal(size=3), rng.normal(size=3)]
+    while gap(q, radius, tube) < 0.005:
+        q[2] += 0.01
+    run = pc.simulate(scene, scene.initial_state(q, v, free=["c"]), 0.4, dense_output=True, energies=True)
+    assert run.status == 0 and "behind" not in run.message, run.message
+    assert any(event.kind == "touch" for event in run.events)
+    assert min(gap(one, radius, tube) for one in run.sol(np.linspace(0.0, 0.4, 2000)).q) > -1e-8
+    assert np.abs(run.energies().balance).max() < 1e-7
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_hoop_that_starts_beside_a_ball_is_outside(seed):
+    """Whichever of its points Newton's method finds first."""
+    rng = np.random.default_rng(seed)
+    radius = rng.uniform(0.1, 0.28)
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))))
+    scene.add_contact(
+        "c", scene.add_contour("hoop", pc.Circle(radius), "body"), scene.add_contour("ball", pc.Sphere(BALL))
+    )
+    turned = pin.exp3(np.r_[0.01 * rng.normal(size=2), rng.uniform(0.0, 3.0)])
+    q = np.r_[0.003 * rng.normal(size=2), np.sqrt(BALL**2 - radius**2) + 0.004, pin.Quaternion(turned).coeffs()]
+    while gap(q, radius, 0.0) < 1e-3:
+        q[2] += 1e-3
+    apart, speed = gap(q, radius, 0.0), 0.5
+    state = scene.initial_state(q, [*(turned.T @ [0.0, 0.0, -speed]), 0.0, 0.0, 0.0], free=["c"])
+    run = pc.simulate(scene, state, 0.05)
+    assert run.contacts["c"].gap[0] == pytest.approx(apart, abs=1e-12)
+    # it falls without turning
+    times = np.linspace(0.0, 0.05, 50_001)
+    places = q - np.outer(speed * times + 0.5 * 9.81 * times**2, np.eye(7)[2])
+    touch = times[[gap(one, radius, 0.0) < 0.0 for one in places]][0]
+    assert run.events[0].kind == "touch" and run.events[0].time == pytest.approx(touch, abs=2e-6)

@@ -77,8 +77,8 @@ def momentum(model, q, v):
     return np.r_[data.hg.linear, data.hg.angular + np.cross(data.com[0], data.hg.linear)]
 
 
-# 6: a corner leaves an edge, past the ends of faces at both of their parameters; 16: edges get parallel in a step; 36: a
-# corner slides off a face, over whose rim its edges come. Bodies touch within a step of time stepping, which is first
+# 6: a corner leaves an edge, past the ends of faces at both of their parameters; 16: edges get parallel in a step; 36:
+# a corner slides off a face, over whose rim its edges come. Bodies touch within a step of time stepping, which is first
 # order in its size: some 2e-3, or ten times as much where several impacts follow each other.
 @pytest.mark.parametrize(("seed", "error"), [(6, 5e-3), (16, 4e-2), (36, 5e-3)])
 def test_boxes_collide(seed, error):

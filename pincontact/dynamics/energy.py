@@ -4,7 +4,7 @@ Newton's restitution demands a rebound -e w_n at every contact that closes; wher
 tangent, are coupled, that and Coulomb's law together may do positive work (Kane's paradox). The work of impulses P that
 take the relative velocity from w- to w+ is P . (w- + w+) / 2, summed over all contacts of the impact. Where that is
 positive, all coefficients are multiplied by the largest common factor for which it is not; without restitution it never
-is. The factor is found by bisection.
+is.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-# Work above this fraction of the sizes of its terms counts as positive; accuracy of the factor.
+# Work above this fraction of the sizes of its terms counts as positive; accuracy of the factor in time stepping.
 ENERGY_SLACK = 1e-9
 KEPT_ACCURACY = 1e-3
 # Slower than this, in m/s, nothing rebounds, and what is closed at the start of a run and comes in does not collide.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ..friction.choices import Units, chosen_forces, holding_loads
 from ..friction.cone import SLIP, STICK
@@ -29,7 +30,7 @@ from ..layout import (
     TIME_DEPENDENT,
 )
 from ..layout import STICK as STICKING
-from .energy import ENERGY_SLACK, KEPT_ACCURACY
+from .energy import ENERGY_SLACK
 from .equations import PAINLEVE_LIMIT
 from .units import REDUNDANT, ContactProblem, relative_velocity, unwhiten, whitened_velocity
 
@@ -43,6 +44,8 @@ _AHEAD = 1e-8
 _AGREES = 1e-9
 # Friction is as much larger there as takes slip beyond where it counts as jammed.
 _BEYOND = 1.0 + 10.0 * PAINLEVE_LIMIT
+# How accurately is known which part of the restitution makes no energy.
+_KEPT_TO = 1e-12
 
 
 @dataclass(frozen=True)
@@ -76,31 +79,19 @@ def apply_impact(
     before; what was at rest holds up to that of sticking, and has that of sliding if it does not hold.
     """
     problem = _Problem(system, closed, ends, restitution, struck, jammed)
-    kept, low, high = 1.0, 0.0, 1.0
     if jammed:
         pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
-        if pushed.solve(solver, kept) is None:
+        if pushed.solve(solver, 1.0) is None:
             return None
         problem.near = pushed.forces
-    while True:
+    kept, y = 1.0, problem.solve(solver, 1.0)
+    if problem.rebound.any() and (y is None or problem.gain(y) > 0.0):
+        # constraints that depend on each other may leave a rebound no way: as in time stepping, there is none then
+        kept = 0.0 if y is None else problem.most_kept(solver)
         y = problem.solve(solver, kept)
-        if y is None:
-            # constraints that depend on each other may leave a rebound no way: as in time stepping, there is none then
-            if kept == 0.0 or not problem.rebound.any():
-                return None
-            kept = high = 0.0
-            continue
-        contacts, joints, size = problem.work(y)
-        creates = contacts + joints > ENERGY_SLACK * size
-        if kept == 1.0 and not creates:
-            break
-        low, high = (low, kept) if creates else (kept, high)
-        if high - low < KEPT_ACCURACY:
-            if kept == low:
-                break
-            kept = low
-        else:
-            kept = 0.5 * (low + high)
+    if y is None:
+        return None
+    contacts, joints, _ = problem.work(y)
     drives = 0.0
     if problem.driven:
         # what the joints receive and the relative velocities do not account for
@@ -258,6 +249,23 @@ class _Problem(ContactProblem):
             chosen, residual = replace(self.loads(), base=b, mu=mu).refine(chosen)
             if residual <= TOLERANCE:
                 self.forces = chosen
+
+    def gain(self, y: np.ndarray) -> float:
+        """Energy that impulses make, as a part of the sizes of all terms, beyond what is round-off."""
+        contacts, joints, size = self.work(y)
+        return (contacts + joints) / size - ENERGY_SLACK if size > 0.0 else 0.0
+
+    def most_kept(self, solver: ContactSolver) -> float:
+        """The largest part of the restitution with which impulses make no energy; 0 where any makes some."""
+
+        def gain(kept: float) -> float:
+            y = self.solve(solver, kept)
+            # what has no solution is as bad as can be
+            return 1.0 if y is None else self.gain(y)
+
+        if gain(0.0) > 0.0:
+            return 0.0
+        return max(float(brentq(gain, 0.0, 1.0, xtol=_KEPT_TO)) - _KEPT_TO, 0.0)
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:
         """Work of the contacts' and of the joints' impulses, and the sum of the sizes of all terms."""

@@ -649,3 +649,27 @@ def test_bad_arguments():
         call(warm=pc.inverse_dynamics(other, elsewhere, actuation=np.eye(6), cones=True))
     with pytest.raises(pc.StateError, match="takes contact 'c' apart at"):
         call([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], cones=True)
+
+
+def test_a_vector_that_actuators_miss_is_refused():
+    """A body on two feet turns about the line through them as gravity has it, whatever holds its feet: nothing else
+    drives that."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia(2.0, np.zeros(3), 0.05 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene, height = pc.Scene(model), 0.4
+    floor = scene.add_contour("floor", pc.Plane())
+    for name, y in (("left", 0.2), ("right", -0.2)):
+        foot = scene.add_contour(name, pc.Point(), "body", placement=pin.SE3(np.eye(3), np.array([0.0, y, -height])))
+        scene.add_contact(name, foot, floor, pc.Coulomb(0.8))
+    state = scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0])
+    sideways = [[0], [1], [0], [0], [0], [0]]
+    tips = [height, 0.0, 0.0, 0.0, 1.0, 0.0]
+    for options in ({}, {"cones": True}, {"redundant": "centred"}):
+        with pytest.raises(pc.SolverError, match="the actuators and contacts"):
+            pc.inverse_dynamics(scene, state, tips, actuation=sideways, **options)
+    nearest = pc.inverse_dynamics(scene, state, tips, actuation=sideways, cones=True, unreachable="nearest")
+    # half the square of what is missed is the kinetic energy of that turning, at 1 rad/s
+    assert nearest.missed == pytest.approx(math.sqrt(0.05 + 2.0 * height**2), abs=1e-9)
+    np.testing.assert_allclose(nearest.acceleration, 0.0, rtol=0.0, atol=1e-9)

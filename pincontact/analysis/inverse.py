@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arguments import check_flag, check_tolerance
 from ..display import Summary
+from ..dynamics.units import whitened_velocity
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 # Torques above the limit of a resistance by less than this part of it are at it.
 _LIMIT_SLACK = 1e-9
+# Accelerations wanted that are missed by less than this part of them, or of those without contacts, are met.
+_MISSED = 1e-6
 _UNREACHABLE, _REDUNDANT = ("error", "nearest"), ("least", "centred", "last")
 
 
@@ -207,7 +210,8 @@ def inverse_dynamics(
         Where cones and limits make the accelerations impossible, or all of them whatever `unreachable` says; its
         `certificate` is a `FarkasCertificate`.
     SolverError
-        Where these actuators cannot do it.
+        Where these actuators cannot do it: accelerations that are a vector without weights, unless
+        `unreachable="nearest"`.
 
     Examples
     --------
@@ -243,9 +247,18 @@ def inverse_dynamics(
         check_forces(scene, given),
         Options(cones, effort_limits, unreachable, redundant, tolerance, exact),
     )
-    if not (acceleration is None or named) and unreachable == "error":
-        _check_kept(program.instant, wanted)
-    return _found(program, wanted)
+    if acceleration is None or named or unreachable != "error":
+        return _found(program, wanted)
+    _check_kept(program.instant, wanted)
+    found = _found(program, wanted)
+    system = program.instant.system
+    sizes = (np.linalg.norm(whitened_velocity(system, a)) for a in (wanted.tasks.wanted, system.free_acceleration))
+    if weights is None and found.missed > _MISSED * max(sizes):
+        raise SolverError(
+            f"inverse dynamics: the actuators and contacts miss the accelerations wanted by {found.missed:.3g} in the "
+            'norm of the mass matrix; unreachable="nearest" takes the nearest ones'
+        )
+    return found
 
 
 def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:

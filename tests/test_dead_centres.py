@@ -277,3 +277,35 @@ def test_a_pin_in_a_slot(mu, speed, rtol):
     assert math.remainder(math.atan2(run.q[-1, 1], run.q[-1, 0]) - angle, 2.0 * math.pi) == pytest.approx(
         0.0, abs=100.0 * rtol
     )
+
+
+@pytest.mark.parametrize("crossing", [1.2, 2.0, 0.5 * math.pi])
+@pytest.mark.parametrize("mu", [0.1, 0.2])
+def test_trammel_with_friction_in_both_slots(mu, crossing):
+    """A rod with two points on crossing lines turns on where one of the points turns round: nothing there holds it, and
+    what the sliding one beside it pulls does not either, whichever of the dependent rows an evaluation leaves out."""
+    model, length = pin.Model(), 0.4
+    model.gravity.linear = np.array([0.0, -9.81, 0.0])
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "rod")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.2, 0.03, 0.0]), 0.03 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
+    turns = 0
+    for angle, speed in ((0.3, -5.0), (1.3, 5.0)):
+        scene = pc.Scene(model)
+        for i, line in enumerate((0.5, 0.5 + crossing)):
+            point = pin.SE3(np.eye(3), np.array([length * i, 0.0, 0.0]))
+            scene.add_contour(f"point{i}", pc.Point(), "rod", placement=point)
+            scene.add_contour(f"line{i}", pc.Line(), placement=pin.SE3(pin.utils.rotate("z", line), np.zeros(3)))
+            scene.add_contact(f"c{i}", f"point{i}", f"line{i}", pc.Coulomb(mu), bilateral=True)
+        # so that both points are on their lines
+        normal, rod = 0.5 + crossing + 0.5 * math.pi, 0.5 + angle
+        way = -length * math.cos(normal - rod) / math.cos(normal - 0.5)
+        q = [way * math.cos(0.5), way * math.sin(0.5), math.cos(rod), math.sin(rod)]
+        start = scene.initial_state(q, [0.0, 0.0, speed])
+        run = pc.simulate(scene, start, 1.0, energies=True)
+        assert run.status == 0, run.message
+        turns += sum(event.kind == "slip" for event in run.events)
+        assert np.abs(run.energies().balance).max() < 1e-7
+        steps = pc.simulate(scene, start, 1.0, method="Moreau", dt=2.5e-4)
+        np.testing.assert_allclose(steps.q[-1], run.q[-1], rtol=0.0, atol=2e-3)
+    assert turns > 0

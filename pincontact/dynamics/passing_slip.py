@@ -15,7 +15,7 @@ from ..jit import BOOLEAN, INTEGER, REAL, SEVERAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS, UNILATERAL
 from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm, orthonormal_basis, subtract_row
 from .directions import freeze_slip
-from .units import whitened_velocity
+from .units import unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -77,8 +77,8 @@ class PassingSlip:
             return None
         # independent rows are held exactly
         if count != system.counters.row_rank:
-            motion = system.acceleration, system.free_acceleration, system.v
             for c in contacts:
+                motion = self._held_by_others(c), system.free_acceleration, system.v
                 tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
                 if accelerates(system.rows[c], system.bias[c], *motion, tangents, length):
                     return c
@@ -90,6 +90,22 @@ class PassingSlip:
         order, allowed = np.empty(system.nv, dtype=np.int64), self.negligible(speed)
         found = takes_more(rows, index, held, system.basis, system.slip, allowed, *scratch, order)
         return found if found >= 0 else None
+
+    def _held_by_others(self, c: int) -> np.ndarray:
+        """Accelerations (nv,) that meet all constrained rows of the last evaluation but the tangents of contact c, and
+        of those what the others leave free. Which rows the evaluation's own leave out depends on their order."""
+        system, count = self.system, self.system.counters.row_count
+        index, rows = system.row_index[:count], system.whitened_rows[:count]
+        own = (index[:, 0] == c) & (index[:, 1] < system.contact_int.item(c, TANGENTS))
+        y = whitened_velocity(system, system.free_acceleration)
+        way = np.eye(system.nv)
+        for part in (~own, own):
+            left = -system.bias[index[part, 0], index[part, 1]] - rows[part] @ y
+            combined, singular, directions = np.linalg.svd(rows[part] @ way.T)
+            kept = int((singular > _SINGULAR * np.linalg.norm(rows[part], axis=1).max(initial=0.0)).sum())
+            y = y + (combined.T @ left)[:kept] / singular[:kept] @ directions[:kept] @ way
+            way = directions[kept:] @ way
+        return unwhiten(system, y)
 
     def _held_in_vain(self) -> bool:
         """Whether what may open, or a joint coordinate that dry friction holds, takes part in what no acceleration

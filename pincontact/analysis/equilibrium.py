@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
+from ..dynamics.units import whitened_velocity
 from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
 from ..geometry.search import stationary_points
 from ..layout import BRANCH, CHART, DOMAIN, END_MARGIN, SIDE, UNILATERAL
@@ -31,6 +32,8 @@ _FLAT = 1e-8
 _STALLED = 1e-9
 # Nor is a step felt that is less than this part of the unknowns.
 _UNFELT = 1e-15
+# Largest step in m and rad of a slow fall, relative to the scene's length, and its smallest, relative to that.
+_FALLS, _NEAR = 0.2, 1e-2
 # Configuration, velocity, shares of symmetries in the motion, torques of the actuation.
 Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
@@ -259,9 +262,23 @@ def _search(
         share, _ = symmetries.fit(instant.q, instant.v, instant.evaluate())
     point: Point = instant.q, instant.v, share, np.zeros(sizes[3])
     bound = len(normals) + (len(constrained) if moves else 0)
-    point, iterations = _solve(residual, bound, (moved, closed, instant.follow), point, steps)
-    size = float(np.abs(residual(point)).max(initial=0.0))
-    most = tolerance * max(1.0, float(np.abs(instant.system.free_acceleration).max(initial=0.0)))
+
+    def solved(point: Point) -> tuple[Point, int, float, float]:
+        """From a point on: the best one, steps, its residual, and what that may be."""
+        point, iterations = _solve(residual, bound, (moved, closed, instant.follow), point, steps)
+        size = float(np.abs(residual(point)).max(initial=0.0))
+        free = float(np.abs(instant.system.free_acceleration).max(initial=0.0))
+        return point, iterations, size, tolerance * max(1.0, free)
+
+    start_point = point
+    point, iterations, size, most = solved(point)
+    if not (size <= most or moves):
+        # where accelerations are least near the start without being zero: from where the scene slowly goes
+        instant.move_to(begin)
+        others = np.zeros(sum(sizes[1:]))
+        point, iterations, size, most = solved(
+            _fall(instant, start_point, lambda point, dq: closed(moved(point, np.r_[dq, others])))
+        )
     what = "steady motion" if moves else "equilibrium"
     if not size <= most:
         raise SolverError(
@@ -351,6 +368,33 @@ def _solve(
         if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, length):
             return point, iteration + 1
     return point, _STEPS
+
+
+def _fall(instant: Instant, point: Point, moved: Callable[[Point, np.ndarray], Point]) -> Point:
+    """Follow accelerations from rest, without gathering speed, to where they turn round: near an equilibrium; moved: a
+    point whose configuration a change (nv,) has moved, on the constraints."""
+    system, size = instant.system, _FALLS * max(instant.length, 1e-3)
+    step = size
+
+    def way(point: Point) -> np.ndarray:
+        a = instant.evaluate(point[0], point[1])
+        largest = float(np.abs(a).max(initial=0.0))
+        return a / largest if largest > 0.0 else a
+
+    direction = way(point)
+    for _ in range(_STEPS):
+        try:
+            there = moved(point, step * direction)
+            ahead = way(there)
+            goes_on = whitened_velocity(system, ahead) @ whitened_velocity(system, direction) > 0.0
+        except (SolverError, SingularContactError):
+            goes_on = False
+        if goes_on:
+            point, direction, step = there, ahead, min(2.0 * step, size)
+            instant.follow()
+        elif (step := 0.25 * step) < _NEAR * size:
+            break
+    return point
 
 
 def _null_space(rows: np.ndarray) -> np.ndarray:

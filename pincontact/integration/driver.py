@@ -528,6 +528,9 @@ class Driver:
         `_take_back`."""
         rk, error = self.rk, self.rk.error
         time, happens = t + crossing.theta * step, True
+        if self.locator.jams(step, crossing):
+            self._take_back(told, kept)
+            return self._end_jams(t), True
         self._write_before(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)

@@ -28,10 +28,12 @@ from ..layout import (
     LEFT_ROW,
     LOOK_ROW,
     MODE,
+    NORMAL_EVENT,
     OK,
     OVERLAP,
     RIGHT_ROW,
     SCAN_ROOM,
+    SLIPPING,
     SPEED_EVENT,
 )
 from .accuracy import gap_rate, gap_resolution, gaps_at_once, next_to_nothing, rest_speed, speed_round_off
@@ -58,6 +60,9 @@ _AS_GOOD = 1e-3
 _SLOPE_OVER = 1e-4
 # No step to an event goes further beyond the step in which it was seen.
 _FURTHEST = 1.1
+# Steps are as short as can be that are so many times the least at most; loads grow without bound that are so many times
+# what else acts.
+_SHORT, _WITHOUT_BOUND = 1e3, 1e4
 # Ways are zero that are this part of what open gaps may be below it.
 _CLOSE = 0.1
 
@@ -116,6 +121,16 @@ class EventLocator:
                 if crossed:
                     return self._earliest(t, step, crossed, known, places[i + 1])
         return None
+
+    def jams(self, step: float, crossing: Crossing) -> bool:
+        """Whether the load of what slides, whose sign changes at the crossing that `first` has found last, has grown
+        without bound before: in steps that have become as short as can be, to far more than what else acts."""
+        system, c = self.system, crossing.c
+        if crossing.kind != NORMAL_EVENT or step > _SHORT * system.scalars.floor:
+            return False
+        slides = c < system.nc and bool(system.contact_int[c, MODE] == SLIPPING)
+        acting = float(np.abs(system.nle - system.tau).max(initial=0.0))
+        return slides and system.scan_event_functions.item(LEFT_ROW, c, NORMAL_EVENT) > _WITHOUT_BOUND * acting
 
     def comes_over(self, t: float, step: float, crossing: Crossing | None) -> Crossing | None:
         """What is first in the trial step: this crossing, or where a contact comes over a contour that it touches then.

@@ -253,6 +253,7 @@ class Scene(Assembly):
         contour : Contour
         frame : str
             Name of a frame, or of a joint that has none (`pin.Model.addJoint` makes none); "universe" is the world.
+            Where a link and a joint have one name, as in some URDFs, it is the link, though the joint may move another.
         placement : pin.SE3, optional
             Pose of the contour in the frame, the identity if not given.
         motion : Motion, optional

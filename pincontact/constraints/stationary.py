@@ -126,21 +126,30 @@ def _describe(system, branch, integers, reals):
 
 @kernel
 def _bending_side(system):
-    """Side of body 2 towards which body 1 bends away from what is as far from body 2 as body 1 is: there they are
-    nearest. 0 for points, for crossing curves, and where the relative curvature has no definite sign.
-
-    With m and l the fundamental forms of body 2 along e_3, and g the distance of body 1, the parallel surface at g has
-    the curvature b . m^-1 l p along a tangent with the products b with those of body 2, where (m - g l) p = b.
-    """
+    """Side of body 2 towards which body 1 bends away from it where they touch, and from what is as far from body 2 as
+    body 1 is, where they are apart; 0 for points, for crossing curves, and where these are not one definite side."""
     integers = system.contact_int[0]
-    k1, k2 = integers[K1], integers[K2]
-    if k1 == 0 or integers[PATTERN] == CROSSING_CURVES:
+    if integers[K1] == 0 or integers[PATTERN] == CROSSING_CURVES:
         return 0
     first, second = system.derivatives[0], system.derivatives[1]
     normal, sign, gap = system.basis[0, 2], -float(integers[SIDE]), 0.0
     for i in range(3):
         way = system.frames[0, ORIGIN, i] + first[0, i] - system.frames[1, ORIGIN, i] - second[0, i]
         gap += sign * normal[i] * way
+    side = _bending_side_at(system, 0.0)
+    return side if side == _bending_side_at(system, gap) else 0
+
+
+@kernel
+def _bending_side_at(system, gap):
+    """Side of the parallel surface of body 2 at a gap in m towards which body 1 bends away from it, or 0.
+
+    With m and l the fundamental forms of body 2 along e_3, that surface has the curvature b . m^-1 l p along a tangent
+    with the products b with those of body 2, where (m - gap l) p = b.
+    """
+    k1, k2 = system.contact_int[0, K1], system.contact_int[0, K2]
+    first, second = system.derivatives[0], system.derivatives[1]
+    normal, sign = system.basis[0, 2], -float(system.contact_int[0, SIDE])
     m11, m12, m22 = dot(second[1], second[1]), 0.0, 1.0
     l11, l12, l22 = sign * dot(second[F_11], normal), 0.0, 0.0
     if k2 == 2:

@@ -421,10 +421,9 @@ class Scene(Assembly):
         if friction is not None:
             check_friction(name, friction, one, two, found)
         check_location(name, a, b, location)
-        is_bilateral = bool(bilateral) or found.constraints == 2
-        if side == 1 and not is_bilateral and a.contour.dimension == b.contour.dimension:
-            # a piece that is outside a body: on which of its own sides has to be seen
-            side = None if may_be_beside(b.contour, a.contour) else side
+        is_bilateral, alike = bool(bilateral) or found.constraints == 2, a.contour.dimension == b.contour.dimension
+        if side == 1 and not is_bilateral and alike and may_be_beside(b.contour, a.contour):
+            side = None  # a piece that is outside a body: on which of its own sides has to be seen
         contact = Contact(
             name,
             a,

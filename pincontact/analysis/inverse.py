@@ -251,14 +251,19 @@ def inverse_dynamics(
         return _found(program, wanted)
     _check_kept(program.instant, wanted)
     found = _found(program, wanted)
-    system = program.instant.system
-    sizes = (np.linalg.norm(whitened_velocity(system, a)) for a in (wanted.tasks.wanted, system.free_acceleration))
-    if weights is None and found.missed > _MISSED * max(sizes):
-        raise SolverError(
-            f"inverse dynamics: the actuators and contacts miss the accelerations wanted by {found.missed:.3g} in the "
-            'norm of the mass matrix; unreachable="nearest" takes the nearest ones'
-        )
+    if weights is None:
+        _refuse_missed(program.instant, wanted, found.missed)
     return found
+
+
+def _refuse_missed(instant: Instant, wanted: Wanted, missed: float) -> None:
+    """Raise SolverError where accelerations of all coordinates are missed, in the norm of the mass matrix."""
+    sizes = (whitened_velocity(instant.system, a) for a in (wanted.tasks.wanted, instant.system.free_acceleration))
+    if missed > _MISSED * max(map(np.linalg.norm, sizes)):
+        raise SolverError(
+            f"inverse dynamics: the actuators and contacts miss the accelerations wanted by {missed:.3g} in the norm "
+            'of the mass matrix; unreachable="nearest" takes the nearest ones'
+        )
 
 
 def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:

@@ -36,6 +36,9 @@ from .kinematics import contact_kinematics
 STATUS, FOUND_SIDE, FOUND_SIGN, FOUND_CHARTS, INTEGERS_FOUND = 0, 1, 2, 3, 5
 COORDINATES, GAP, POINTS, REALS_FOUND = 0, 4, 5, 11
 
+# Parallel surfaces on which areas are less than this part of what they are on the surface tell no sides.
+_TOWARDS = 0.5
+
 
 @array_entry(INTEGER, REAL[:, ::1], INTEGER[::1], INTEGER[:, ::1], INTEGER[:, ::1], REAL[:, ::1], when=CALLED)
 def find_stationary(address, starts, branches, charts, integers, reals):
@@ -158,8 +161,8 @@ def _bending_side_at(system, gap):
     if not m11 * m22 - m12 * m12 > 0.0:
         return 0
     n11, n12, n22 = m11 - gap * l11, m12 - gap * l12, m22 - gap * l22
-    if not (n11 * n22 - n12 * n12 > 0.0 and n11 > 0.0):
-        # beyond a centre of curvature
+    if not (n11 * n22 - n12 * n12 > _TOWARDS * (m11 * m22 - m12 * m12) and n11 > 0.0):
+        # far towards a centre of curvature, or beyond it
         n11, n12, n22 = m11, m12, m22
     b1, c1 = _products(first[1], second, k2)
     x1, y1 = _curved(b1, c1, n11, n12, n22, l11, l12, l22, m11, m12, m22)

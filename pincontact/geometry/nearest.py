@@ -332,7 +332,8 @@ class NearestSearch:
         found, are_singular = self._candidates(t, starts)
         known = _nearest_of(found)
         if known > float(distances.min()) + whole.rounding and self._winds_around():
-            found, singular = self._candidates(t, self._along(t, points))
+            every, singular = self._candidates(t, self._along(t, points))
+            found = [one for one in every if one.gap > -neighbourhood]
             known, are_singular = _nearest_of(found), are_singular or singular
         # what is nearer than cells tell may be where a regular nearest point is
         touches = least.min() == 0.0 and known > float(reaches.max() + whole.radius)

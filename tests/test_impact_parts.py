@@ -10,7 +10,6 @@ import pytest
 
 import pincontact as pc
 from pincontact.dynamics import impact
-from pincontact.dynamics.energy import KEPT_ACCURACY
 from pincontact.dynamics.units import delassus
 from pincontact.friction.solve import ContactSolver
 from pincontact.geometry.patterns import ON_CURVE
@@ -38,7 +37,8 @@ from pincontact.layout import (
 class Bouncing:
     """A problem whose impulses would create energy beyond a part of the restitution."""
 
-    driven = False
+    driven, rebound = False, np.ones(3)
+    gain, most_kept = impact._Problem.gain, impact._Problem.most_kept
 
     def __init__(self, most):
         self.most, self.asked = most, []
@@ -64,9 +64,9 @@ def test_as_much_of_the_restitution_is_kept_as_creates_no_energy(most, monkeypat
         assert problem.asked == [1.0]
         assert found.kept == 1.0
     else:
-        assert most - KEPT_ACCURACY <= found.kept <= most
-        # halved until it is known, and once more for what is taken
-        assert len(problem.asked) <= 13
+        assert most - 1e-11 <= found.kept <= most
+        # halved until it is known, as a jump has no slope, and once more for what is taken
+        assert len(problem.asked) <= 100
     assert (found.contacts, found.drives, found.joints) == (-3.0, 0.0, -1e-3)
     assert system.v.tolist() == [5.0 + 2.0 * found.kept, 8.0]
 

@@ -101,8 +101,15 @@ class Contact:
 
     @cached_property
     def swapped(self) -> bool:
-        """Whether `first` is body 2: the contour with more parameters, or a piece with ends beside which the other one
-        may be, on a side that has to be seen."""
+        """Whether `first` is body 2.
+
+        So is the contour with more parameters, and a piece with ends beside which the other one may be, on a side that
+        has to be seen.
+
+        Returns
+        -------
+        bool
+        """
         one, two = self.first.contour, self.second.contour
         if one.dimension != two.dimension:
             return one.dimension > two.dimension

@@ -1,12 +1,15 @@
 """Hoops and tori around a ball, nearly on its axis: all of them is as near to it but for little, and what is nearest
 runs round them fast. The distances are closed forms."""
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from shared import one_body
 
 import pincontact as pc
+from pincontact.integration.locator import EventLocator
 
 BALL = 0.3
 RINGS = {"hoop": (pc.Circle, 0.0), "torus": (pc.Torus, 0.04)}
@@ -66,3 +69,28 @@ def test_a_hoop_that_starts_beside_a_ball_is_outside(seed):
     places = q - np.outer(speed * times + 0.5 * 9.81 * times**2, np.eye(7)[2])
     touch = times[[gap(one, radius, 0.0) < 0.0 for one in places]][0]
     assert run.events[0].kind == "touch" and run.events[0].time == pytest.approx(touch, abs=2e-6)
+
+
+@pytest.mark.parametrize("misses", [1, 3])
+def test_a_touch_that_was_not_seen_is_looked_for_again(misses, monkeypatch):
+    """Nothing of the steps that ended inside is left in the outputs, nor are users' events told of them."""
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia.FromSphere(1.0, 0.1)))
+    scene.add_contact("c", scene.add_contour("ball", pc.Sphere(0.1), "body"), scene.add_contour("floor", pc.Plane()))
+    start, times = scene.initial_state([0.0, 0.0, 0.6], np.zeros(3), free=["c"]), np.linspace(0.0, 0.6, 601)
+    given = {"t_eval": times, "events": [lambda t, q, v: q[2] - 0.1 + 1e-3], "max_step": 0.05}
+    first, left = EventLocator.first, [misses]
+
+    def misses_some(locator, *arguments):
+        found = first(locator, *arguments)
+        if found is None or not left[0]:
+            return found
+        left[0] -= 1
+        return None
+
+    monkeypatch.setattr(EventLocator, "first", misses_some)
+    run = pc.simulate(scene, start, 0.6, **given)
+    assert run.status == 0 and left == [0]
+    assert [(event.kind, event.time) for event in run.events] == [("touch", pytest.approx(math.sqrt(1.0 / 9.81)))]
+    np.testing.assert_array_equal(run.t, times)
+    fall = np.maximum(0.6 - 0.5 * 9.81 * times**2, 0.1)
+    np.testing.assert_allclose(run.q[:, 2], fall, rtol=0.0, atol=1e-9)

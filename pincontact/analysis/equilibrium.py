@@ -291,11 +291,11 @@ def _search(
     state = instant.state(q, v)
     holds = instant.holds()
     forces = instant.forces()
-    beyond = np.flatnonzero(instant.system.contact_real[: instant.system.nc, DOMAIN] < -END_MARGIN).tolist()
-    for c in beyond:
+    beyond = np.flatnonzero(instant.system.contact_real[: instant.system.nc, DOMAIN] < -END_MARGIN)
+    if beyond.size:
         raise SolverError(
             f"no {what} was found near this configuration: in that to which the search led, contact "
-            f"{instant.system.contacts[c].name!r} is beyond the end of a contour; start elsewhere"
+            f"{instant.system.contacts[beyond[0]].name!r} is beyond the end of a contour; start elsewhere"
         )
     return SteadyMotion(state, instant.tau, forces, size, holds, iterations)
 

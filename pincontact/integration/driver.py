@@ -376,6 +376,11 @@ class Driver:
                 crossing = self.locator.first(t, step, crossing.theta)
             if opened.is_near:
                 crossing = self.locator.comes_over(t, step, crossing)
+                if crossing is None and step > _RESTART * system.scalars.floor and self.transitions.misses(t_new):
+                    # before anything is told or written of the step
+                    self._take_back(told, kept)
+                    system.scalars.next_step = FAILED_FACTOR * step
+                    return t, False
             if asked:
                 self._announce_user_events(t, step, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
@@ -384,10 +389,6 @@ class Driver:
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
         closes = rk.project(t_new, not interpolated, rk.error)
-        if opened.is_near and step > _RESTART * system.scalars.floor and self.transitions.misses(t_new):
-            self._take_back(told, kept)
-            system.scalars.next_step = FAILED_FACTOR * step
-            return t, False
         self.outputs.keep(t, t_new, step)
         if not closes:
             return self._give_way(t_new, system.new_state, step), True

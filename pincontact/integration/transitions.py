@@ -225,9 +225,11 @@ class Transitions:
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
 
     def misses(self, t: float) -> bool:
-        """Whether bodies that were apart are inside each other in the evaluated state at t, the end of a trial step in
-        which none was seen to touch, as where no nearest point was found on the way."""
+        """Whether bodies that were apart are inside each other at t, the end of a trial step in which none was seen to
+        touch, as where no nearest point was found on the way. Evaluates the kinematics there."""
         system, opened = self.system, self.open
+        self.rk.load(system.new_state)
+        system.evaluate_kinematics(t)
         crosses = (system.contact_int[:, PATTERN] == CROSSING_CURVES) | (system.contact_int[:, UNILATERAL] == 0)
         for c in np.flatnonzero((system.modes == FREE) & opened.apart & ~crosses[: system.nc]).tolist():
             within = system.gaps[c, 0] < 0.0 <= system.contact_real[c, DOMAIN] and c not in opened.passed

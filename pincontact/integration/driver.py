@@ -376,9 +376,9 @@ class Driver:
                 crossing = self.locator.first(t, step, crossing.theta)
             if opened.is_near:
                 crossing = self.locator.comes_over(t, step, crossing)
-                if crossing is None and step > _RESTART * system.scalars.floor and self.transitions.misses(t_new):
-                    # before anything is told or written of the step
-                    self._take_back(told, kept)
+                may_be_shorter = not self.options.fixed_step and step > _RESTART * system.scalars.floor
+                if crossing is None and may_be_shorter and self.transitions.misses(t_new):
+                    self._take_back(told, kept)  # before anything is told or written of the step
                     system.scalars.next_step = FAILED_FACTOR * step
                     return t, False
             if asked:

@@ -564,10 +564,11 @@ class OpenContacts:
         self.passed.add(c)
         if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
             return True
-        inside = self.is_inside(t, c)
+        if self._nearness(c, t).search is None or (inside := self.is_inside(t, c)):
+            return False
         if inside is None:
             self.find(t, c)
-        return not inside
+        return True
 
     def is_inside(self, t: float, c: int) -> bool | None:
         """Whether bodies of contact c are inside each other where it is, at t; None if nearest elsewhere."""

@@ -138,11 +138,17 @@ class Loads:
         """(2n,) `directions`, zero where there are none."""
         return np.zeros(2 * self.mu.size) if self.directions is None else self.directions
 
+    def velocities(self, forces: np.ndarray) -> np.ndarray:
+        """(3n,) at forces (3n,) of a solution; what is round-off is zero."""
+        velocities = self.gram @ forces + self.base
+        velocities[np.abs(velocities) <= TOLERANCE * float(np.abs(self.base).max(initial=0.0))] = 0.0
+        return velocities
+
     def modes(self, forces: np.ndarray) -> np.ndarray:
         """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim, or held up by
         friction alone; else STICK."""
-        velocities, radii = self.gram @ forces + self.base, self.radii(forces)
-        modes, least = np.full(self.mu.size, STICK), TOLERANCE * float(np.abs(self.base).max(initial=0.0))
+        modes, radii = np.full(self.mu.size, STICK), self.radii(forces)
+        velocities, least = self.velocities(forces), TOLERANCE * float(np.abs(self.base).max(initial=0.0))
         for i, count in enumerate(self.tangents.astype(int)):
             k = 3 * i
             weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
@@ -218,8 +224,7 @@ class LoadSolver:
                 small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
                 y[scaled.normals[y[scaled.normals] <= small]] = 0.0
                 self.forces = scaled.forces(y)
-                self.velocities = problem.gram @ self.forces + problem.base
-                self.velocities[np.abs(self.velocities) <= TOLERANCE * scaled.largest] = 0.0
+                self.velocities = problem.velocities(self.forces)
                 self.residual = residual
                 return True
         # every choice of loads is one linear system, and none of them has a solution

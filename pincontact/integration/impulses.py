@@ -96,6 +96,10 @@ from .impulse_works import add_works, count_energy_made, energy_made, velocity_c
 from .momentum_transport import find_inertias, transport, turning_rate
 from .stages import hand_over
 
+# Size in m/s and rad/s of velocities that are none: what is held loses most of its velocity in every step, until there
+# is no number for the products of impulses.
+_NO_SPEED = 1e-60
+
 
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def predict_midpoint(system, step):
@@ -357,8 +361,7 @@ def advance(system, step):
         speed += mass[k, k] * (mean[k] ** 2 + (least_way(h) / h) ** 2)
         total += v1[k]
         squares += v1[k] * v1[k]
-    if squares == 0.0:
-        # velocities that are held fall in every step, until there is no number for their squares
+    if squares < _NO_SPEED**2:
         for k in range(nv):
             v1[k] = 0.0
     # a body that comes to rest is not fast, but neither is it far off

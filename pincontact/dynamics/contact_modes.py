@@ -31,14 +31,15 @@ class Decision:
     """Outcome of `ModeSolver.resolve_modes`.
 
     status: of the evaluation in the new modes; started: contacts that begin to slip, with the relative acceleration
-    in m/s^2 at which they do; opened: contacts that open; residual of the cone problem, 0 where none was solved.
+    in m/s^2 at which they do; opened: contacts that open; residual of the contact problem, 0 where none was solved;
+    forces (items, 3) of its solution in N.
     """
 
     status: int
     started: dict[int, float] = field(default_factory=dict)
     opened: list[int] = field(default_factory=list)
     residual: float = 0.0
-    solved: bool = False
+    forces: np.ndarray | None = None
 
 
 def held_up_by_friction(system: System, c: int) -> bool:

@@ -234,7 +234,8 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         # what begins beside it turns slip that goes on from rest, too
         decision.started = passing | decision.started
-        if not self._align(t, decision, evaluate):
+        begun = integers.copy(), system.contact_real.copy(), decision.started
+        if not self._align(t, decision, evaluate) and not self._align_with_solution(t, decision, evaluate, begun):
             decision.status = NO_FORCE
         return decision
 
@@ -276,7 +277,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         integers, numbers = system.contact_int, system.contact_real
         closed, held = system.closed(), system.held()
         items = [*closed, *system.resisting()]
-        decision = Decision(OK, solved=True)
+        decision = Decision(OK)
         while True:
             solution = self._solve_posed(self._pose(closed, held, ahead, normals), held)
             if solution is None:
@@ -288,7 +289,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             if not begun:
                 break
             self._limits[begun] = numbers[begun, MU]
-        decision.residual = solution.residual
+        decision.residual, decision.forces = solution.residual, solution.forces
         self.worst_residual = max(self.worst_residual, decision.residual)
         velocities, kinds = solution.velocities, solution.modes
         # as far as they are known; what carries nothing is at the edge of slip, as far as its load is known
@@ -335,9 +336,14 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         return math.hypot(*relative_velocity(self.system, i, rows).tolist())
 
     def _begins(self, t: float, decision: Decision, evaluate: Callable[[float], int]) -> bool:
-        """Whether what begins to slip does so under the loads of the last evaluation, too, which may turn it."""
+        """Whether what begins to slip does so under the loads of the last evaluation, too, which may turn it: not where
+        they balance with friction that is turned, at the limit of what holds."""
         back, started = self._going_back(decision), [*decision.started]
-        return not back or (align_slips(self.system, t, started, evaluate) and not self._going_back(decision))
+        if not back:
+            return True
+        least = _CLEARLY * max(decision.started.values())
+        grows = align_slips(self.system, t, started, evaluate) and not self._going_back(decision)
+        return grows and bool(self.system.contact_real[started, SLIP_RATE].max() > least)
 
     def _going_back(self, decision: Decision) -> list[int]:
         """What begins to slip, but goes the other way under the loads of the last evaluation."""
@@ -368,6 +374,22 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             integers[back, MODE], integers[back, FROZEN] = STICK, 0
             decision.started = {c: rate for c, rate in decision.started.items() if c not in back}
             decision.status = evaluate(t)
+
+    def _align_with_solution(
+        self,
+        t: float,
+        decision: Decision,
+        evaluate: Callable[[float], int],
+        begun: tuple[np.ndarray, np.ndarray, dict[int, float]],
+    ) -> bool:
+        """The same under the loads of the contact problem's solution, whose directions these are, where others leave
+        slip no direction. begun: integers and numbers of all items, and what starts, with these."""
+        system = self.system
+        if decision.forces is None:
+            return False
+        system.contact_int[:], system.contact_real[:], decision.started = begun
+        self._keep_solution(t, decision.forces, evaluate)
+        return align_slips(system, t, [*decision.started], evaluate) and not self._going_back(decision)
 
     def _keep_solution(self, t: float, forces: np.ndarray, evaluate: Callable[[float], int]) -> None:
         """Take the solution's forces (items, 3), on the rim of their cones, for the choice among redundant ones."""

@@ -443,7 +443,7 @@ class Driver:
         failure = projection_failure(self.system, t)
         self.rk.load(state)
         self._allow_start(t, step)
-        after = self.transitions.give_way(t, failure)
+        after = self.transitions.onset.give_way(t, failure)
         self._after(after, jumps=True)
         return after
 

@@ -391,28 +391,30 @@ class ModeChanges:
         if explained:
             self.project(t, True, explained=True)
             return
-        before, state = self.system.v.copy(), self.system.stage_state.copy()
-        closes = self.rk.project(t, True)
-        taken, speed = self.modes.taken_from(before)
-        if closes and taken <= self.modes.explained(speed):
+        state = self.system.stage_state.copy()
+        if self.closes(t, True):
             return
         self.rk.load(state)
         if not self.let_slide(t):
             self.project(t, False)
+
+    def closes(self, t: float, evaluated: bool = False) -> bool:
+        """Put the state on its constraints; whether it can be, by no more than errors of steps."""
+        before = self.system.v.copy()
+        found = self.rk.project(t, evaluated)
+        taken, speed = self.modes.taken_from(before)
+        return found and taken <= self.modes.explained(speed)
 
     def let_slide(self, t: float) -> bool:
         """Let slide what friction cannot stop, see `ModeSolver.let_slide`, and project the state of stage_state; False
         where that does not do, and nothing has changed."""
         system, modes = self.system, self.modes
         integers, limits, state = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
-        before = system.v.copy()
         self.evaluate_rows(t)
         if modes.let_slide(t, self.rk.evaluate, self.ahead).status <= EVENT:
             changed = (system.contact_int[:, MODE] != integers[:, MODE]).any()
-            if changed and self.rk.project(t, True):
-                taken, speed = modes.taken_from(before)
-                if taken <= modes.explained(speed):
-                    return True
+            if changed and self.closes(t, True):
+                return True
         system.contact_int[:], system.joint_int[:] = integers, limits
         self.rk.load(state)
         self.rk.evaluate(t)

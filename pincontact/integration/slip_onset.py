@@ -46,9 +46,11 @@ from ..layout import (
     TANGENTS,
 )
 from .accuracy import gap_rate, held_up, rest_speed, speed_round_off
+from .contradictions import projection_failure
 from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
+from .results import Stop
 from .slip_at_ends import STIFF
 from .slow_slip import SHORTER, follow_slips
 from .steps import FAILED_FACTOR, FIND_EARLIEST
@@ -141,6 +143,47 @@ class SlipOnset:
         tau, _ = self._step_beside(t, tau)
         return self._end(t, tau, system.new_state)
 
+    def give_way(self, t: float, failure: Stop) -> float:
+        """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.
+
+        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound.
+        Friction has a bound, and loads only push: what they hold gives way, which changes the velocity next to nothing.
+        Where that will not do `failure` is raised.
+        """
+        system, changes = self.system, self.changes
+        modes, reports = system.contact_int[:, MODE].copy(), changes.reports
+        if not changes.let_slide(t):
+            raise failure
+        after, contacts = system.contact_int[:, MODE], np.arange(system.items) < system.nc
+        for c in np.flatnonzero((modes != FREE) & (after == FREE) & contacts).tolist():
+            reports.announce(t, c, "separate")
+        for c in np.flatnonzero((modes == STICK) & (after == SLIPPING)).tolist():
+            reports.announce_friction(t, c, True)
+        changes.joints.announce_changes(t)
+        self.rk.accept()
+        return self.start(t)
+
+    def _lose_hold(self, t: float) -> float | None:
+        """Let give way what sticks where constraints that depend on each other at the accepted state are independent a
+        short time later; the new time, None where they are not."""
+        system = self.system
+        if system.counters.row_rank == system.counters.row_count:
+            return None
+        tau, _ = self._step_beside(t, self._short())
+        self.rk.load(system.new_state)
+        if self.changes.closes(t + tau):
+            self.changes.evaluate_accepted(t)
+            return None
+        failure = projection_failure(system, t + tau)
+        self.emit(t, tau)
+        self.rk.load(system.new_state)
+        return self.give_way(t + tau, failure)
+
+    def _short(self) -> float:
+        """Time in s for which stick runs on. The step that led here resolves what decides; a longer one may pass a load
+        by."""
+        return min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
+
     def _goes_on(self, t: float, frozen: list[int], tau: float) -> bool:
         """Whether any of these slips is there already, and faster than what it grows by within tau s."""
         self.rk.load(self.system.state)
@@ -187,6 +230,9 @@ class SlipOnset:
             return self.resolve(t, changes.sticking(), beyond=c)
         # the state is on its constraints, and evaluated
         self.rk.accept()
+        after = self._lose_hold(t)
+        if after is not None:
+            return after
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
@@ -264,11 +310,8 @@ class SlipOnset:
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state, which is evaluated, until something slips or opens; see `_run_on`.
         What is not at its limit there, and begins later to slip, is left to then."""
-        system = self.system
-        # the step that led here resolves what decides; a seed that is longer may pass a load by
-        tau = min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
-        modes, at_limit = system.contact_int.copy(), {c, *self.changes.at_limit(_AT_LIMIT)}
-        tau, decision, seeded = self._run_on(t, c, tau)
+        modes, at_limit = self.system.contact_int.copy(), {c, *self.changes.at_limit(_AT_LIMIT)}
+        tau, decision, seeded = self._run_on(t, c, self._short())
         for _ in range(_LOOKS_FOR_SLIP):
             if decision.opened or (decision.started and at_limit.issuperset(decision.started)):
                 break

@@ -374,25 +374,6 @@ class Transitions:
         self.changes.end_jams(t, sliding)
         return self.onset.start(t)
 
-    def give_way(self, t: float, failure: Stop) -> float:
-        """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.
-
-        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound.
-        Friction has a bound, and loads only push: what they hold gives way, which changes the velocity next to nothing.
-        Where that will not do `failure` is raised.
-        """
-        changes, modes = self.changes, self.system.contact_int[:, MODE].copy()
-        if not changes.let_slide(t):
-            raise failure
-        after, contacts = self.system.contact_int[:, MODE], np.arange(self.system.items) < self.system.nc
-        for c in np.flatnonzero((modes != FREE) & (after == FREE) & contacts).tolist():
-            self.reports.announce(t, c, "separate")
-        for c in np.flatnonzero((modes == STICK) & (after == SLIPPING)).tolist():
-            self.reports.announce_friction(t, c, True)
-        self.joints.announce_changes(t)
-        self.rk.accept()
-        return self.onset.start(t)
-
     # ---------------------------------------------------------------- accepted states
 
     def note_sides(self, scanned: bool) -> None:

@@ -79,7 +79,7 @@ def test_two_sliding_feet_one_of_which_carries_all():
     assert run.contacts["foot 1"].mode[0] == -1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, 2, 47, 50, 59])
 def test_random_sliding_feet(seed):
     """The run refuses what has no solution, and takes it where there is one."""
     rng = np.random.default_rng(seed)

@@ -341,9 +341,9 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         back, started = self._going_back(decision), [*decision.started]
         if not back:
             return True
-        least = _CLEARLY * max(decision.started.values())
+        least = _CLEARLY * max(decision.started.values(), default=0.0)
         grows = align_slips(self.system, t, started, evaluate) and not self._going_back(decision)
-        return grows and bool(self.system.contact_real[started, SLIP_RATE].max() > least)
+        return grows and bool((self.system.contact_real[started, SLIP_RATE] > least).any())
 
     def _going_back(self, decision: Decision) -> list[int]:
         """What begins to slip, but goes the other way under the loads of the last evaluation."""

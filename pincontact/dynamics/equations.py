@@ -281,7 +281,7 @@ def solve_slipping(system, count):
     for _ in range(_NORMAL_ITERATIONS):
         friction_directions(system, count)
         assemble_slip(system, count)
-        lost = loses_positivity(system, count)
+        lost = NOTHING_LOST if system.counters.decided != 0 else loses_positivity(system, count)
         if lost == CONTACT_LOST or not solve_linear_slip(system, count):
             return False
         change = update_normal_shares(system, count)

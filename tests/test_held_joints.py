@@ -1,0 +1,56 @@
+"""A leg that dry friction of its joints holds slides like a rigid body, in outputs, too: with joints that are free its
+foot may have no force, or two (Painleve)."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+MU, GRAVITY, DURATION = 0.8, 9.81, 0.01
+
+
+def trolley(seed, legs):
+    """A body that moves without turning, on legs of two joints each in its plane, which are held. Returns scene and
+    start, in which the body slides."""
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+    base = model.addJoint(base, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+    model.appendBodyToJoint(base, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    for leg in range(legs):
+        parent, place = base, pin.SE3(np.eye(3), np.array([0.4 * leg, 0.0, 0.0]))
+        for name in ("hip", "knee"):
+            length = rng.uniform(0.1, 0.3)
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"{name} {leg}")
+            lever = np.array([0.0, 0.0, -0.5 * length])
+            inertia = pin.Inertia(rng.uniform(0.05, 0.5), lever, 0.002 * length * np.eye(3))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            place = pin.SE3(np.eye(3), 2.0 * lever)
+        model.addFrame(pin.Frame(f"foot {leg}", parent, 0, place, pin.FrameType.OP_FRAME))
+    bound = np.append([0.0, 0.0], np.full(2 * legs, 50.0))
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -bound, bound
+    q = np.append([0.0, 0.0], rng.uniform(-1.2, 1.2, 2 * legs))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    scene = pc.Scene(model)
+    for leg in range(legs):
+        name = f"foot {leg}"
+        under = data.oMf[model.getFrameId(name)].translation
+        floor = scene.add_contour(f"floor {leg}", pc.Plane(), placement=pin.SE3(np.eye(3), under))
+        scene.add_contact(name, scene.add_contour(name, pc.Point(), frame=name), floor, friction=pc.Coulomb(MU))
+    speed = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 1.0)
+    return scene, scene.initial_state(q, speed * np.eye(model.nv)[0])
+
+
+@pytest.mark.parametrize("legs", [1, 2])
+@pytest.mark.parametrize("seed", range(10))
+def test_held_joints_count_as_held_in_outputs(seed, legs):
+    scene, start = trolley(seed, legs)
+    run = pc.simulate(scene, start, DURATION)
+    assert run.status == 0, run.message
+    weight = GRAVITY * sum(inertia.mass for inertia in scene.model.inertias)
+    loads = sum(track.normal_force for track in run.contacts.values())
+    np.testing.assert_allclose(loads, weight, rtol=1e-9)
+    slowed = start.v[0] - np.sign(start.v[0]) * MU * GRAVITY * run.t
+    np.testing.assert_allclose(run.v[:, 0], slowed, rtol=0.0, atol=1e-9)

@@ -270,7 +270,13 @@ def _announced(entry: Entry) -> Callable[..., Any]:
         if unknown:
             entry.prepare()
             unknown = False
-        return compiled(*values)
+        try:
+            return compiled(*values)
+        except SystemError as error:
+            # what a signal's handler raises in a call into Python, before that can take it down
+            if error.__cause__ is None:
+                raise
+            raise error.__cause__ from None
 
     return call
 

@@ -317,15 +317,18 @@ def test_exceptions_travel_with_their_run():
     assert again.run.message == caught.value.run.message
 
 
+@pytest.mark.parametrize("controlled", [False, True])
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-def test_an_interrupt_of_compiled_steps_keeps_the_run(method):
-    """Ctrl-C while nothing of the user's runs."""
+def test_an_interrupt_of_compiled_steps_keeps_the_run(method, controlled):
+    """Ctrl-C while nothing of the user's runs, or as a control is called."""
     # a shell's background job ignores interrupts
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     case = Case("events")
     # until the event is reached everything is compiled already
     pc.simulate(case.scene, case.state, 0.01, method=method)
     options = {"step": 1e-4} if method == "Moreau" else {"max_step": 1e-4}
+    if controlled:
+        options["control"] = lambda t, q, v: np.zeros(case.scene.model.nv)
     timer = threading.Timer(0.3, _thread.interrupt_main)
     timer.start()
     try:

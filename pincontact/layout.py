@@ -40,6 +40,7 @@ SCALARS = record(
     "bad_time",
     "velocity_left",
     "free_size",
+    "largest_force",
 )
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,

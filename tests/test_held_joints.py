@@ -54,3 +54,47 @@ def test_held_joints_count_as_held_in_outputs(seed, legs):
     np.testing.assert_allclose(loads, weight, rtol=1e-9)
     slowed = start.v[0] - np.sign(start.v[0]) * MU * GRAVITY * run.t
     np.testing.assert_allclose(run.v[:, 0], slowed, rtol=0.0, atol=1e-9)
+
+
+def legs_that_stand(seed):
+    """A planar body that stands on three legs, whose joints have dry friction. Returns scene and state."""
+    rng = np.random.default_rng(seed)
+    model, base = pin.Model(), 0
+    for name, joint in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
+        base = model.addJoint(base, joint, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(base, pin.Inertia.FromBox(rng.uniform(2.0, 5.0), 0.4, 0.3, 0.2), pin.SE3.Identity())
+    bound, q = [0.0] * 3, [0.0] * 3
+    for leg, x in enumerate((-0.2, 0.2, 0.0)):
+        parent, place = base, pin.SE3(np.eye(3), np.array([x, 0.0, -0.05]))
+        for joint in range(int(rng.integers(1, 3))):
+            parent = model.addJoint(parent, pin.JointModelRY(), place, f"joint {joint} of {leg}")
+            lever = np.array([0.0, 0.0, -0.5 * rng.uniform(0.15, 0.3)])
+            inertia = pin.Inertia(rng.uniform(0.2, 1.0), lever, 1e-3 * np.eye(3))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            place = pin.SE3(np.eye(3), 2.0 * lever)
+            bound.append(rng.uniform(0.1, 4.0))
+            q.append(rng.uniform(-0.5, 0.5))
+        model.addFrame(pin.Frame(f"foot {leg}", parent, 0, place, pin.FrameType.OP_FRAME))
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -np.array(bound), np.array(bound)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(q))
+    scene = pc.Scene(model)
+    for leg in range(3):
+        name = f"foot {leg}"
+        under = data.oMf[model.getFrameId(name)].translation
+        floor = scene.add_contour(f"floor {leg}", pc.Plane(), placement=pin.SE3(np.eye(3), under))
+        law = pc.NoSlip() if rng.random() < 0.3 else pc.Coulomb(rng.uniform(0.3, 0.9))
+        scene.add_contact(name, scene.add_contour(name, pc.Point(), frame=name), floor, friction=law)
+    return scene, scene.initial_state(q)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 25])
+def test_torques_at_the_edge_of_friction_stop_no_run(seed):
+    """The least efforts that hold a body have forces at their limits: to ask again and again whether these are
+    exceeded took steps of half a microsecond."""
+    scene, state = legs_that_stand(seed)
+    tau = pc.inverse_dynamics(scene, state, cones=True).tau
+    run = pc.simulate(scene, state, 0.05, control=lambda t, q, v: tau, max_steps=300)
+    assert run.status == 0, run.message
+    # at rest but for the distance of a limit that is known to 1e-8
+    assert np.abs(run.v[-1]).max() < 1e-6

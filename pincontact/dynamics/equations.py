@@ -538,11 +538,14 @@ def accelerate(system, count, directions):
             force[i, row] = 0.0
     for k in range(nv):
         work[k] = 0.0
+    largest = 0.0
     for r in range(count):
         multiplier = system.multipliers[r]
+        largest = max(largest, abs(multiplier))
         force[system.row_index[r, 0], system.row_index[r, 1]] = multiplier
         for k in range(nv):
             work[k] += directions[r, k] * multiplier
+    system.scalars.largest_force = largest
     unwhiten(system.factor, system.parents, nv, work, work)
     for k in range(nv):
         acceleration[k] = free[k] + work[k]

@@ -172,7 +172,9 @@ def friction_event_functions(system, c, load):
             tangential = abs(force[0])
             if tangents == 2:
                 tangential = friction_length(integers, numbers, force[0], force[1])
-            value[FRICTION_EVENT] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
+            # a load may be what round-off of others leaves
+            slack = numbers[LIMIT_SLACK] * (numbers[MU_STATIC] * load + system.scalars.largest_force)
+            value[FRICTION_EVENT] = numbers[MU_STATIC] * load - tangential + slack
     elif integers[MODE] == SLIPPING:
         relative, direction = system.relative_acceleration[c], system.vectors[0]
         for row in range(3):

@@ -327,6 +327,7 @@ class SlipOnset:
         What is not at its limit there, and begins later to slip, is left to then."""
         modes, at_limit = self.system.contact_int.copy(), {c, *self.changes.at_limit(_AT_LIMIT)}
         tau, decision, seeded = self._run_on(t, c, self._short())
+        longest = tau
         for _ in range(_LOOKS_FOR_SLIP):
             if decision.opened or (decision.started and at_limit.issuperset(decision.started)):
                 break
@@ -336,6 +337,9 @@ class SlipOnset:
                 tau, decision, seeded = self._run_on(t, c, tau, modes)
                 break
             tau, decision, seeded = shorter
+        if not (decision.started or decision.opened):
+            # what sticks at all these times sticks: short ones would be taken again and again
+            tau, decision, seeded = self._run_on(t, c, longest, modes)
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show; a load that runs out
             # with the friction it allows does not

@@ -148,6 +148,8 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # STRIBECK_EXPONENT belongs to one such curve.
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # OVERLAP is how far in m bodies may be inside each other that come into a domain from its end, and not behind it.
+# LIFT is by how much the force of what slips parts the bodies, friction included and what sticks held, relative to what
+# it does without friction.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, LAST_SPEED
@@ -177,6 +179,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     NORMAL_2,
     SLIP_SPEED,
     SLIP_RATE,
+    LIFT,
     DOMAIN,
     LAST_NORMAL_X,
     LAST_NORMAL_Y,
@@ -213,7 +216,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(57)
+) = range(58)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

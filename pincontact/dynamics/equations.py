@@ -25,6 +25,7 @@ from ..layout import (
     HIGH_FORCE,
     JOINT_SIGN,
     JOINT_V,
+    LIFT,
     LOW_FORCE,
     MODE,
     MU,
@@ -463,8 +464,11 @@ def loses_positivity(system, n):
         if is_normal_of_curve(system.contact_int, c, system.row_index[r, 1]):
             if slides_on_curve(system, r) and curve_loses_positivity(system, r, n):
                 lost = CURVES_LOST
-        elif own > COMMON_LIMIT * operator[r, n] and not left[r, r] > PAINLEVE_LIMIT * own and slips(system, c):
-            return CONTACT_LOST
+        elif slips(system, c):
+            numbers = system.contact_real[c]
+            numbers[LIFT] = left[r, r] / own if own > COMMON_LIMIT * operator[r, n] else 1.0
+            if not numbers[LIFT] > PAINLEVE_LIMIT:
+                return CONTACT_LOST
     return lost
 
 

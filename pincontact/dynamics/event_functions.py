@@ -25,6 +25,7 @@ from ..layout import (
     JOINT_END,
     JOINT_SIGN,
     JOINT_V,
+    LIFT,
     LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
@@ -136,6 +137,9 @@ def contact_event_functions(system):
             value[DOMAIN_EVENT] = numbers[DOMAIN]
             if integers[UNILATERAL] != 0:
                 value[NORMAL_EVENT] = force[c, 2]
+                if integers[MODE] == STICK and numbers[MU_STATIC] == math.inf:
+                    # the limit of friction, too
+                    value[NORMAL_EVENT] += numbers[LIMIT_SLACK] * system.scalars.largest_force
             elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
                 value[NORMAL_EVENT] = integers[NORMAL_SIGN] * force[c, 2]
             friction_event_functions(system, c, size_of_load(system.contact_int, force, c))
@@ -200,13 +204,11 @@ def friction_event_functions(system, c, load):
 @kernel
 def jam_event_functions(system, count):
     """Event functions of contacts that slide, held up by friction alone: whether it still pushes the bodies apart."""
-    status, nv = OK, system.sizes.nv
+    status = OK
     for r in range(count):
         c = system.row_index[r, 0]
         if c < system.sizes.nc and system.contact_int[c, MODE] == SLIPPING and system.contact_real[c, MU] == math.inf:
-            whitened = system.whitened_rows[r]
-            lift, own = inner(whitened, system.whitened_forces[r], nv), inner(whitened, whitened, nv)
-            system.event_functions[c, FRICTION_EVENT] = lift / own - JAM_LIMIT if own > 0.0 else 1.0
+            system.event_functions[c, FRICTION_EVENT] = system.contact_real[c, LIFT] - JAM_LIMIT
             if system.event_functions[c, FRICTION_EVENT] < 0.0:
                 status = EVENT
     return status

@@ -298,7 +298,7 @@ class Transitions:
         if not integers[UNILATERAL]:
             return self._turn_normal(t, c)
         if self._closes_again(t, c):
-            return self.onset.leave_stick(t, c)
+            return self._reach_limit(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
         if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)

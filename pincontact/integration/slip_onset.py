@@ -76,8 +76,6 @@ _FORCE_ACCURACY = 1e-6
 _SHOWN = 1e3
 # Steps that a touch or an end is foreseen in go this part of the way to it, so that it is found in the next one.
 _UP_TO_EVENT = 0.999
-# Cosine of the angle between slip and the direction in which it has started, at least.
-_ALONG = 0.9
 # Slip this part of v, or of 1 m/s, and slower has no direction that is known to a percent.
 _ROUND_OFF = 1e-13
 # A gap that is closed already counts as so much of its accuracy.
@@ -143,20 +141,7 @@ class SlipOnset:
             system.contact_real[frozen, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
             self.rk.evaluate_start(t)
         tau, _ = self._step_beside(t, tau)
-        while tau > self.changes.ahead and self._turns_off(t + tau, frozen):
-            tau, _ = self._step_beside(t, max(SHORTER * tau, self.changes.ahead))
         return self._end(t, tau, system.new_state)
-
-    def _turns_off(self, t: float, frozen: list[int]) -> bool:
-        """Whether any of these slips goes another way at t, the end of the trial step, than its friction is against."""
-        system = self.system
-        self.rk.load(system.new_state)
-        system.evaluate_kinematics(t)
-        for c in frozen:
-            speed, along = self.changes.slip_speed(c), float(self.changes.slip_direction(c) @ system.slip[c])
-            if along < _ALONG * speed:
-                return True
-        return False
 
     def give_way(self, t: float, failure: Stop) -> float:
         """Go on from a state that cannot be projected on constraints which have depended on each other; the new time.

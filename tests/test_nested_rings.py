@@ -47,7 +47,7 @@ def rings(seed, law):
     return scene, scene.initial_state(q, v)
 
 
-@pytest.mark.parametrize("seed", [0, 3, 6, 9])
+@pytest.mark.parametrize("seed", [0, 26, 27, 60, 61, 69])
 def test_ideal_rolling_is_the_limit_of_large_friction(seed):
     runs = []
     for law in (pc.NoSlip(), pc.Coulomb(1e4)):

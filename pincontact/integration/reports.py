@@ -152,7 +152,7 @@ class Reports:
             return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor{self._largest_slide()}")
         code, reason = FAILURES[status]
         if status == NO_FORCE and self.modes.proved:
-            reason = "no contact forces satisfy Coulomb's law, but unstable ones (Painleve)"
+            reason = "no contact forces satisfy Coulomb's law, but for unstable ones (Painleve)"
         elif status == NO_FORCE and self.system.counters.lost_positivity:
             reason = "friction between several contacts leaves more than one solution (Painleve)"
         if status == MASS_NOT_POSITIVE:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from .arguments import output_number
 from .contacts import AttachedContour, Contact, characteristic_length
 from .display import MODE_NAMES, html_table, known_range
+from .dynamics.joints import joint_limits
 from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.open_contacts import OpenContacts
@@ -246,8 +247,7 @@ def _evaluate_outputs(
     values = {name: np.empty((len(wanted), *view.shape), view.dtype) for name, view in views.items()}
     rows: list[int] = []
     opened = OpenContacts(system)
-    # joints' forces are given here, and what is held by them is not
-    system.counters.decided = 1
+    holds = bool(joint_limits(system.model))
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
         system.scalars.has_reference = float(i in recorded.references)
@@ -255,6 +255,11 @@ def _evaluate_outputs(
         known = system.evaluate(time := float(t[i])) <= EVENT
         if known and FREE in system.modes and opened.follow(time):
             known = system.evaluate(time) <= EVENT
+        if not known and holds:
+            # joints' forces are given here, and what they hold is not: forces may be those of the law all the same
+            system.counters.decided = 1
+            known = system.evaluate(time) == OK
+            system.counters.decided = 0
         # with unknown forces, as of torques that are not finite, the contact points may be known
         if known or system.evaluate_kinematics(time) == OK:
             for name, view in views.items():

@@ -241,8 +241,16 @@ def viscous(at):
     return out
 
 
+def largest_multiplier(at):
+    multipliers = {(i, row): abs(at.force[i, row]) for i, row in at.constrained}
+    if at.integers[7, MODE] == SLIPPING:
+        multipliers[7, 2] = math.hypot(*at.force[7, :2])
+    return max(multipliers.values())
+
+
 def expected_event_functions(at):
     out = np.ones((TOTAL, EVENTS_PER_CONTACT))
+    largest = largest_multiplier(at)
     out[0, GAP_EVENT] = at.gaps[0, 0]
     if at.numbers[0, DOMAIN] < math.inf:
         out[0, DOMAIN_EVENT] = max(at.gaps[0, 0], -at.numbers[0, DOMAIN])
@@ -250,21 +258,23 @@ def expected_event_functions(at):
     for i in range(TOTAL):
         mode = at.integers[i, MODE]
         if i < NC and mode != FREE and at.integers[i, UNILATERAL]:
-            out[i, NORMAL_EVENT] = at.force[i, 2]
+            out[i, NORMAL_EVENT] = at.force[i, 2] + (0.01 * largest if i == 7 and mode == STICK else 0.0)
         if mode == STICK and i not in (7, 13):
             owner = at.integers[i, OWNER] if i >= NC else i
             load = math.hypot(at.force[owner, 2], at.force[owner, 1] if owner == 6 else 0.0)
             tangential = at.force[i, : at.integers[i, TANGENTS]]
             if at.integers[i, ANISOTROPIC]:
                 tangential = np.linalg.solve(ELLIPSE, tangential)
-            out[i, FRICTION_EVENT] = 1.01 * 3.0 * load - np.linalg.norm(tangential)
+            out[i, FRICTION_EVENT] = 3.0 * load - np.linalg.norm(tangential) + 0.01 * (3.0 * load + largest)
         if mode == SLIPPING and at.integers[i, TANGENTS] == 1:
             out[i, SPEED_EVENT] = at.d[i, 0] * (at.basis[i, 0] @ at.slip[i])
     if at.integers[4, MODE] == SLIPPING:
         out[4, NORMAL_EVENT] = -at.force[4, 2]
     if at.integers[7, MODE] == SLIPPING:
         out[7, NORMAL_EVENT] = math.hypot(*at.force[7, :2])
-        normal = at.inverse @ at.rows[7, 2]
+        held = np.array([at.rows[i, row] for i, row in at.constrained if not slips(at, i)])
+        inverse = at.inverse - at.inverse @ held.T @ np.linalg.pinv(held @ at.inverse @ held.T) @ held @ at.inverse
+        normal = inverse @ at.rows[7, 2]
         out[7, FRICTION_EVENT] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - JAM_LIMIT
     out[NC, NORMAL_EVENT] = at.force[NC, 2] + 5.0
     # what only friction holds may exceed its limits by the same part as contacts
@@ -421,7 +431,7 @@ def test_contacts_that_nothing_moves_have_no_forces(slides, seed):
         at.bias[7, 2] = 0.3
         out = solved(at)
         assert not out.force[7].any()
-        assert out.event_functions[7, FRICTION_EVENT] == 1.0
+        assert out.event_functions[7, FRICTION_EVENT] == 1.0 - JAM_LIMIT
 
 
 def viscous_of(at, out):
@@ -440,7 +450,7 @@ def test_small_event_functions_are_no_events(seed):
     tangential = np.linalg.norm(np.linalg.solve(ELLIPSE, force[:2]))
     at.numbers[2, MU_STATIC] = (tangential + 0.1) / (1.01 * force[2])
     out = solved(at)
-    assert out.event_functions[2, FRICTION_EVENT] == pytest.approx(0.1, abs=1e-9)
+    assert out.event_functions[2, FRICTION_EVENT] == pytest.approx(0.1 + 0.01 * largest_multiplier(at), abs=1e-9)
     assert 0.0 < out.event_functions[12, SPEED_EVENT] < 0.5
     assert out.status == OK
 

@@ -11,7 +11,7 @@ from pincontact.dynamics.redistribution import RedundantForces
 from pincontact.layout import EVENT, MODE, SLIPPING
 
 
-@pytest.mark.parametrize("seed", [36, 43, 46, 47])
+@pytest.mark.parametrize("seed", [37, 43, 46, 47])
 def test_choices_are_followed_as_friction_turns(seed, monkeypatch):
     choose, parts = RedundantForces.redistribute, []
 

@@ -13,7 +13,7 @@ DURATION = 1.5
 
 
 def rings(seed, law):
-    """Rings that roll on each other, with centres of mass of their own; gravity is along -y. Returns scene and start."""
+    """Rings that roll on each other, none of them even; gravity is along -y. Returns scene and start."""
     rng = np.random.default_rng(seed)
     model, radii, inner = pin.Model(), [rng.uniform(0.5, 1.0)], []
     model.gravity.linear = np.array([0.0, -9.81, 0.0])

@@ -165,17 +165,15 @@ def split(model):
     model.loadFromString(other.saveToString())
 
 
-@pytest.mark.parametrize(("change", "says"), [(grow, "size"), (split, "")])
+@pytest.mark.parametrize(("change", "says"), [(grow, "size"), (split, None)])
 def test_a_model_of_another_size_raises(change, says):
     """C++ would throw through compiled code, and end the process."""
     model = free_body()
     system = RunSystem(model, [])
     system.evaluate(0.0)
     change(model)
-    with pytest.raises(SystemError) as raised:
+    with pytest.raises((ValueError, RuntimeError), match=says):
         system.evaluate(0.0)
-    assert isinstance(raised.value.__cause__, (ValueError, RuntimeError))
-    assert says in str(raised.value.__cause__)
 
 
 def test_calls_are_made_of_arrays_that_stay(monkeypatch):

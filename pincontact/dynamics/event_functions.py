@@ -205,7 +205,7 @@ def friction_event_functions(system, c, load):
 def jam_event_functions(system, count):
     """Event functions of contacts that slide, held up by friction alone: whether it still pushes the bodies apart."""
     status = OK
-    for r in range(count):
+    for r in range(count if system.counters.decided == 0 else 0):
         c = system.row_index[r, 0]
         if c < system.sizes.nc and system.contact_int[c, MODE] == SLIPPING and system.contact_real[c, MU] == math.inf:
             system.event_functions[c, FRICTION_EVENT] = system.contact_real[c, LIFT] - JAM_LIMIT

@@ -273,7 +273,7 @@ def _announced(entry: Entry) -> Callable[..., Any]:
         try:
             return compiled(*values)
         except SystemError as error:
-            # what a signal's handler raises in a call into Python, before that can take it down
+            # raised by a signal's handler within a call into Python, before the callable could note it
             if error.__cause__ is None:
                 raise
             raise error.__cause__ from None

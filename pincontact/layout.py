@@ -45,8 +45,8 @@ SCALARS = record(
 
 # counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
 # REDUNDANT 1 where those that are next to depending on each other count as if they did, LOST_POSITIVITY 1 if there are
-# forces, but those from which compliances would lead away, and DECIDED 1 where modes are known to have forces, which is
-# not asked then
+# forces, but those from which compliances would lead away, and DECIDED 1 where modes
+# are taken to have forces, whatever their operator
 COUNTERS = record(
     INTEGERS,
     "newton_count",

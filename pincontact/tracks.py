@@ -256,7 +256,8 @@ def _evaluate_outputs(
         if known and FREE in system.modes and opened.follow(time):
             known = system.evaluate(time) <= EVENT
         if not known and holds:
-            # joints' forces are given here, and what they hold is not: forces may be those of the law all the same
+            # joints that are held are free here, their forces given, so that slip may have lost positivity which it has
+            # in the run; forces that satisfy the law are the run's
             system.counters.decided = 1
             known = system.evaluate(time) == OK
             system.counters.decided = 0

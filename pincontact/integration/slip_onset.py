@@ -448,7 +448,7 @@ class SlipOnset:
         if not jammed:
             changes.project(t)
         elif not self.rk.project(t, False):
-            # v_c has come out in a direction in which nothing holds up: that slip has jammed
+            # v_c has come out in a direction in which there are no forces: that slip has jammed
             changes.stop_slips(t, jammed)
         self._stick_again(t, frozen)
         self.rk.accept()

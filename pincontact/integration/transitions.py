@@ -54,7 +54,8 @@ from .slip_onset import SlipOnset
 _MOVED = 1e-9
 # A motion that jumps at a breakpoint moves bodies by no more than so many times the error of gaps.
 _JUMP_REACHES = 10.0
-# What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
+# What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends: at
+# what counts as no load.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-8
 
 

@@ -11,7 +11,7 @@ from pincontact.dynamics.redistribution import RedundantForces
 from pincontact.layout import EVENT, MODE, SLIPPING
 
 
-@pytest.mark.parametrize("seed", [37, 43, 46, 47])
+@pytest.mark.parametrize("seed", range(36, 60))
 def test_choices_are_followed_as_friction_turns(seed, monkeypatch):
     choose, parts = RedundantForces.redistribute, []
 
@@ -38,6 +38,7 @@ def test_choices_are_followed_as_friction_turns(seed, monkeypatch):
     monkeypatch.setattr(RedundantForces, "redistribute", watched)
     scene, state, leaves = on_falling_floor(np.random.default_rng(seed))
     pc.simulate(scene, state, 1.2 * leaves)
-    assert len(parts) >= 4
-    # the square of 2e-6 s in times of some milliseconds; one that follows the loads alone is off by a third of the way
+    assert parts
+    # the square of 2e-6 s in times of some milliseconds; one that follows the loads alone is off by a third of the way,
+    # and one that depends on the choices before by as much
     assert np.median(parts) < 1e-3

@@ -95,7 +95,7 @@ class RedundantForces:
         """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
 
         ended: the contact whose load has come to zero, or comes back from there. Needs the last evaluation, whose
-        accelerations stay what they are, unless loads of what slides are chosen.
+        accelerations stay what they are where nothing slides.
         """
         system = self.system
         count = system.counters.row_count
@@ -116,29 +116,25 @@ class RedundantForces:
         moves = rows.any(axis=1)
         if not moves.any():
             return False
-        null = null_space(directions[moves])
-        choices = [null]
-        if slipping:
-            # the motion depends on forces that the constraints leave open, too: see `leaves_loads_open`
-            open_forces = null_space(directions[moves] @ rows.T)
-            if open_forces.shape[1] > null.shape[1]:
-                choices.append(open_forces)
-        self.redundant = choices[-1].shape[1] > 0
+        # in slip the constraints leave open what moves bodies, too, see `leaves_loads_open`: if that were kept, forces
+        # would depend on the choices before
+        null = null_space(directions[moves] @ rows.T if slipping else directions[moves])
+        self.redundant = null.shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
         for r, (c, row) in enumerate(index.tolist()) if slipping else ():
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
         (parts, offsets), before = self._cones(index), self.reference()
         parts = np.ascontiguousarray(parts[:, moves])
-        for null in choices:
-            found = central_choice(forces[moves], null, parts, offsets)
-            if found is not None:
-                self._follow(index[moves], found)
-                if evaluate(t) <= EVENT and self._holds():
-                    self.redistributions += 1
-                    return True
-                self.take_back(before)
-                evaluate(t)
+        found = central_choice(forces[moves], null, parts, offsets)
+        if found is None:
+            return False
+        self._follow(index[moves], found)
+        if evaluate(t) <= EVENT and self._holds():
+            self.redistributions += 1
+            return True
+        self.take_back(before)
+        evaluate(t)
         return False
 
     def choose(self, t: float, evaluate: Callable[[float], int]) -> bool:

@@ -84,6 +84,17 @@ def central_choice(forces: np.ndarray, null: np.ndarray, parts: np.ndarray, offs
     return Choice(found, (slope[: n - k, :k] @ basis[:k]).T, basis[k:].T) if k else None
 
 
+def at_rest(delassus: np.ndarray, b: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Which of n contacts are at rest with these forces (3n,), (n,).
+
+    That counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that only
+    just touches can take a load.
+    """
+    size = (np.abs(b) + np.abs(delassus) @ np.abs(forces)).reshape(-1, 3).max(axis=1)
+    speed = np.abs(delassus @ forces + b).reshape(-1, 3).max(axis=1)
+    return speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))
+
+
 def centred_forces(
     delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike, solution: ContactSolution
 ) -> ContactSolution:
@@ -130,11 +141,7 @@ def centred_forces(
         raise ArgumentError(f"the solution must be one of solve_contacts, got {type(solution).__name__}")
     if solution.modes.shape[0] != contacts:
         raise ArgumentError(f"the solution has {solution.modes.shape[0]} contacts, the problem has {contacts}")
-    # At rest counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that
-    # only just touches can take a load.
-    size = (np.abs(b) + np.abs(matrix) @ np.abs(solution.forces.ravel())).reshape(-1, 3).max(axis=1)
-    speed = np.abs(solution.velocities).max(axis=1)
-    stuck = np.flatnonzero((speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))) & (friction > 0.0))
+    stuck = np.flatnonzero(at_rest(matrix, b, solution.forces.ravel()) & (friction > 0.0))
     rows = (3 * stuck[:, None] + np.arange(3)).ravel()
     values, vectors = np.linalg.eigh(matrix[np.ix_(rows, rows)])
     limits = np.minimum(friction[stuck], LARGEST_FRICTION).tolist()

@@ -18,7 +18,7 @@ from itertools import islice, product
 import numpy as np
 
 from ..linalg import RANK_TOLERANCE
-from .centred import Cone, central_force, null_space
+from .centred import Cone, at_rest, central_force
 from .cone import OPEN, SLIP, STICK
 from .least_loads import least_of
 from .loads import TOLERANCE, Loads
@@ -98,7 +98,8 @@ def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndar
 
 def chosen_forces(units: Units) -> np.ndarray | None:
     """(3n,) forces of these modes as the rule has them; None where there is no choice, or nothing slides."""
-    unknowns = _Unknowns(units)
+    rests = at_rest(units.gram, units.base, units.forces.ravel()) & (units.friction > 0.0)
+    unknowns = _Unknowns(replace(units, modes=np.where(rests & (units.modes == SLIP), STICK, units.modes)))
     if not unknowns.slides or not unknowns.solve():
         return None
     return unknowns.central() if unknowns.sticks and not unknowns.inside() else unknowns.least()
@@ -194,14 +195,9 @@ class _Unknowns:
         )
 
     def central(self) -> np.ndarray | None:
-        """(3n,) forces in the middle of what the cones admit: of those that move nothing, else of all that the
-        constraints leave open."""
-        forces = self.unit * self.x
-        for null in (null_space(self.expand.T @ self.units.directions), self.unit[:, None] * self.null):
-            found = central_force(forces, null, self.cones)
-            if found is not None:
-                return self._whole(found.forces)
-        return None
+        """(3n,) forces in the middle of what the cones admit, among all that the constraints leave open."""
+        found = central_force(self.unit * self.x, self.unit[:, None] * self.null, self.cones)
+        return None if found is None else self._whole(found.forces)
 
     def least(self) -> np.ndarray | None:
         """(3n,) the least forces of which no load is negative."""

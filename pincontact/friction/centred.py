@@ -84,15 +84,15 @@ def central_choice(forces: np.ndarray, null: np.ndarray, parts: np.ndarray, offs
     return Choice(found, (slope[: n - k, :k] @ basis[:k]).T, basis[k:].T) if k else None
 
 
-def at_rest(delassus: np.ndarray, b: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Which of n contacts are at rest with these forces (3n,), (n,).
+def rows_at_rest(delassus: np.ndarray, b: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Along which rows n contacts are at rest with these forces (3n,), (n, 3).
 
-    That counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that only
-    just touches can take a load.
+    That counts, not the mode of a solution: a force of least norm on its cone's edge slips at zero speed, and a contact
+    that only just touches can take a load.
     """
     size = (np.abs(b) + np.abs(delassus) @ np.abs(forces)).reshape(-1, 3).max(axis=1)
-    speed = np.abs(delassus @ forces + b).reshape(-1, 3).max(axis=1)
-    return speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))
+    speed = np.abs(delassus @ forces + b).reshape(-1, 3)
+    return speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))[:, None]
 
 
 def centred_forces(
@@ -141,7 +141,7 @@ def centred_forces(
         raise ArgumentError(f"the solution must be one of solve_contacts, got {type(solution).__name__}")
     if solution.modes.shape[0] != contacts:
         raise ArgumentError(f"the solution has {solution.modes.shape[0]} contacts, the problem has {contacts}")
-    stuck = np.flatnonzero(at_rest(matrix, b, solution.forces.ravel()) & (friction > 0.0))
+    stuck = np.flatnonzero(rows_at_rest(matrix, b, solution.forces.ravel()).all(axis=1) & (friction > 0.0))
     rows = (3 * stuck[:, None] + np.arange(3)).ravel()
     values, vectors = np.linalg.eigh(matrix[np.ix_(rows, rows)])
     limits = np.minimum(friction[stuck], LARGEST_FRICTION).tolist()

@@ -18,7 +18,7 @@ from itertools import islice, product
 import numpy as np
 
 from ..linalg import RANK_TOLERANCE
-from .centred import Cone, at_rest, central_force
+from .centred import Cone, central_force, rows_at_rest
 from .cone import OPEN, SLIP, STICK
 from .least_loads import least_of
 from .loads import TOLERANCE, Loads
@@ -98,8 +98,11 @@ def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndar
 
 def chosen_forces(units: Units) -> np.ndarray | None:
     """(3n,) forces of these modes as the rule has them; None where there is no choice, or nothing slides."""
-    rests = at_rest(units.gram, units.base, units.forces.ravel()) & (units.friction > 0.0)
-    unknowns = _Unknowns(replace(units, modes=np.where(rests & (units.modes == SLIP), STICK, units.modes)))
+    rests = rows_at_rest(units.gram, units.base, units.forces.ravel())
+    touches = (units.modes == OPEN) & (units.parents == np.arange(rests.shape[0])) & rests[:, 2]
+    modes = np.where(touches, SLIP, units.modes)
+    sticks = (modes == SLIP) & rests.all(axis=1) & (units.friction > 0.0)
+    unknowns = _Unknowns(replace(units, modes=np.where(sticks, STICK, modes)))
     if not unknowns.slides or not unknowns.solve():
         return None
     return unknowns.central() if unknowns.sticks and not unknowns.inside() else unknowns.least()

@@ -98,3 +98,41 @@ def test_torques_at_the_edge_of_friction_stop_no_run(seed):
     assert run.status == 0, run.message
     # at rest but for the distance of a limit that is known to 1e-8
     assert np.abs(run.v[-1]).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_forces_of_outputs_are_those_of_the_motion(seed):
+    """A cart brakes on wheels of which dry friction holds some, which slide, while others roll: how they share the load
+    is not for the contacts alone to choose."""
+    rng = np.random.default_rng(seed)
+    model, radius = pin.Model(), 0.1
+    root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    body = pin.Inertia.FromBox(5.0, 0.4, 0.3, 0.1)
+    model.appendBodyToJoint(root, body, pin.SE3(np.eye(3), np.array([rng.uniform(-0.05, 0.05), 0.0, 0.0])))
+    wheels = {}
+    for axle in (-0.2, 0.0, 0.2):
+        for side in (-0.15, 0.15):
+            place = pin.SE3(np.eye(3), np.array([axle, side, 0.0]))
+            wheel = model.addJoint(root, pin.JointModelRY(), place, f"wheel {len(wheels)}")
+            model.appendBodyToJoint(wheel, pin.Inertia.FromSphere(0.5, radius), pin.SE3.Identity())
+            wheels[f"wheel {len(wheels)}"] = wheel
+    model.upperDryFrictionLimit = np.r_[np.zeros(6), np.full(6, rng.uniform(0.2, 0.4))]
+    model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for name in wheels:
+        scene.add_contact(name, floor, scene.add_contour(name, pc.Sphere(radius), name), pc.Coulomb(0.3))
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    q[2], v[0] = radius, 0.3
+    run = pc.simulate(scene, scene.initial_state(q, v), 0.06, dense_output=True)
+    assert run.status == 0, run.message
+    changes = np.array([event.time for event in run.events])
+    for t in np.arange(0.0025, 0.06, 0.005):
+        if changes.size and np.abs(changes - t).min() < 1e-4:
+            continue
+        sample, h = run.sol(t), 1e-5
+        rate = (run.sol(t + h).v[0] - run.sol(t - h).v[0]) / (2.0 * h)
+        friction = sum(track.force[0] for track in sample.contacts.values())
+        # tolerances of 1e-8 over 2 h
+        assert friction == pytest.approx(pin.computeTotalMass(model) * rate, abs=0.02)
+        assert min(track.normal_force for track in sample.contacts.values()) >= 0.0

@@ -44,6 +44,8 @@ _AHEAD = 1e-8
 _AGREES = 1e-9
 # Friction is as much larger there as takes slip beyond where it counts as jammed.
 _BEYOND = 1.0 + 10.0 * PAINLEVE_LIMIT
+# A choice turns the slip, and with it what is to be chosen, at most so often.
+_TURNS = 50
 # How accurately is known which part of the restitution makes no energy.
 _KEPT_TO = 1e-12
 
@@ -244,11 +246,19 @@ class _Problem(ContactProblem):
     def _choose(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray) -> None:
         """Of redundant impulses take those that the rule for sliding contacts has, where these solve the problem, too:
         bodies between others may be squeezed by any, which their friction would feel."""
-        chosen = chosen_forces(self._units(b, mu, modes))
-        if chosen is not None:
-            chosen, residual = replace(self.loads(), base=b, mu=mu).refine(chosen)
-            if residual <= TOLERANCE:
-                self.forces = chosen
+        loads = replace(self.loads(), base=b, mu=mu)
+        for _ in range(_TURNS):
+            chosen = chosen_forces(self._units(b, mu, modes))
+            if chosen is None:
+                break
+            chosen, residual = loads.refine(chosen)
+            if residual > TOLERANCE:
+                break
+            change = float(np.abs(chosen - self.forces).max())
+            self.forces, modes = chosen, loads.modes(chosen)
+            # friction turns with the slip that the choice changes
+            if change <= _KEPT_TO * float(np.abs(chosen).max()):
+                break
 
     def gain(self, y: np.ndarray) -> float:
         """Energy that impulses make, as a part of the sizes of all terms, beyond what is round-off."""

@@ -8,7 +8,7 @@ from ..callback import separate_kernel
 from ..dynamics.equations import dry_friction_force
 from ..dynamics.resistance import count_items
 from ..jit import NOTHING, REAL, kernel
-from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, JOINT_V, MODE, OWNER, START, SYSTEM, TANGENTS
+from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, JOINT_V, MODE, OWNER, SLIPPING, START, SYSTEM, TANGENTS
 from ..workspace import flat
 
 # Integers of a contact in a row: its own, and its two charts.
@@ -20,7 +20,7 @@ BLOCK = 256
 @separate_kernel(NOTHING, SYSTEM.type, REAL)
 def record_row(system, t):
     """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
-    redundant forces where they were chosen, torques on body 2 that resist turning where there may be any.
+    redundant forces where they were chosen or are shared, torques on body 2 that resist turning where there may be any.
     """
     sizes, index = system.sizes, system.counters.recorded
     nq, nv, nc, nwork = sizes.nq, sizes.nv, sizes.nc, sizes.nwork
@@ -53,6 +53,8 @@ def record_row(system, t):
     for c in range(nc):
         for k in range(3):
             row[at + 3 * c + k] = chosen * system.reference[c, k]
+        if n > nc:
+            _record_forces(modes[c], force[c], row[at + 3 * c :])
     at += 3 * nc
     if n > nc + ng:
         turning = row[at:]
@@ -64,6 +66,15 @@ def record_row(system, t):
                     for k in range(3):
                         turning[3 * modes[i, OWNER] + k] += force[i, j] * system.basis[i, j, k]
     system.counters.recorded = index + 1
+
+
+@kernel
+def _record_forces(contact, force, row):
+    """Forces of a contact, where held joints and resistances share in a choice: contacts alone would have another."""
+    _put(row, 0, force, 3)
+    if contact[MODE] == SLIPPING and force[2] == 0.0:
+        # held up by friction alone, which is its multiplier
+        row[2] = math.hypot(force[0], force[1])
 
 
 @kernel

@@ -101,3 +101,40 @@ def test_elliptic_gears_that_cannot_part(start, friction):
     np.testing.assert_allclose(
         run.v[:, 0], speed * np.sqrt(energy / (inertias[0] + inertias[1] * ratio(run.q[:, 0]) ** 2)), rtol=1e-4
     )
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("options", [{}, {"max_step": 1e-4}, {"method": "Moreau", "dt": 1e-4}])
+def test_flanks_that_are_next_to_each_other_pass_their_tips(seed, options):
+    """Two involutes turn past each other, a tenth of a millimetre apart all the time: as both end they are nowhere near
+    a touch along a line, though they are next to parallel."""
+    rng = np.random.default_rng(seed)
+    pressure, base = rng.uniform(0.3, 0.45), rng.uniform(0.25, 0.35, 2)
+    distance = base.sum() / math.cos(pressure)
+    length = distance * math.sin(pressure)
+    middle, way, gap = base[0] * math.tan(pressure), rng.uniform(0.1, 0.2) * length, 1e-4
+    starts = (middle, length - middle)
+    turned = (middle / base[0] - pressure, (length - middle) / base[1] - pressure - math.pi)
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    for name, x in (("gear 0", 0.0), ("gear 1", distance)):
+        joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    scene, flanks = pc.Scene(model), []
+    for i, (radius, start) in enumerate(zip(base, starts)):
+
+        def involute(u, radius=radius):
+            return radius * (np.cos(u) + u * np.sin(u)), radius * (u * np.cos(u) - np.sin(u)), 0.0
+
+        curve = pc.ParametricCurve(involute, domain=((start - 1.08 * way) / radius, (start + way) / radius))
+        place = pin.SE3(pin.exp3(np.array([0.0, 0.0, turned[i]])), np.zeros(3))
+        flanks.append(scene.add_contour(f"flank {i}", curve, f"gear {i}", place))
+    scene.add_contact("teeth", *flanks)
+    direction = rng.choice([-1.0, 1.0])
+    along, speed = direction * way * rng.uniform(0.9, 0.98), direction * rng.uniform(0.2, 1.0)
+    q, v = [along / base[0], (-gap - along) / base[1]], [speed / base[0], -speed / base[1]]
+    state = scene.initial_state(q, v, free=["teeth"])
+    run = pc.simulate(scene, state, 0.3 * way / abs(speed), **options)
+    assert run.status == 0, run.message
+    assert run.contacts["teeth"].gap[0] == pytest.approx(gap, abs=1e-9)
+    np.testing.assert_allclose(run.v[-1], v, rtol=1e-12)

@@ -342,7 +342,7 @@ class NearestSearch:
 
     def _touch(self, t: float, distances: np.ndarray, touches: bool) -> bool:
         """Whether bodies that have singular nearest points only touch, or are inside each other, and not just beyond an
-        end of the divided contour: what is round, from whose surface its cells have these distances (n,), or samples
+        end of either contour: what is round, from whose surface its cells have these distances (n,), or samples
         behind a graph, or, of others, what cells tell: touches."""
         if len(self.whole.points) == 1 and self.whole.rounding == 0.0:
             return False
@@ -358,10 +358,37 @@ class NearestSearch:
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
         elif self.whole.rounding == 0.0:
-            depth = math.inf if touches else 0.0
+            # cells tell no better than they are large, as beside ends
+            apart = self._least_distance(t, i, int(self._cells.order[self._cells.pairs[i]])) if touches else math.inf
+            depth = math.inf if apart <= SAME_PLACE * self.system.contact_real[self.c, LENGTH] else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
+
+    def _least_distance(self, t: float, cell: int, sample: int) -> float:
+        """Of the contours within their ends, in m, downhill from a cell of the one and a sample of the other; infinite
+        where that leads to an end."""
+        contours, (rotation, centre) = (self.divided, self.whole.core), self.pose()
+        n, dimension = self.divided.dimension, self.divided.dimension + self.whole.core.dimension
+        axes = [end for contour in contours for end in zip(contour.domain, contour.periodic)]
+        low, high = np.array([(-math.inf, math.inf) if wraps else ends for ends, wraps in axes]).T
+        start = np.append(self._cells.middles[cell, :n], self.whole.parameters[sample, : dimension - n])
+
+        def values(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return tuple(evaluated(of, part[None], t)[0] for of, part in zip(contours, (place[:n], place[n:])))
+
+        def way(place: np.ndarray) -> np.ndarray:
+            first, second = values(place)
+            return first[0] - rotation @ (second[0] - self.whole.centre) - centre
+
+        def slopes(place: np.ndarray) -> np.ndarray:
+            first, second = values(place)
+            return np.vstack([first[1 : n + 1], -second[1 : dimension - n + 1] @ rotation.T]).T
+
+        near = scipy.optimize.least_squares(way, start, slopes, (low, high), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        # a distance that is least to its square does not know its place better
+        at_end = np.minimum(near.x - low, high - near.x) <= math.sqrt(SAME_PLACE) * (high - low)
+        return math.inf if at_end[np.isfinite(high - low)].any() else float(np.linalg.norm(near.fun))
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""

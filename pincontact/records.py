@@ -17,11 +17,7 @@ from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.run_system import RunSystem
 from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
 from .integration.steps import RECORD
-from .layout import (
-    CONTACT_INTS,
-    FREE,
-    FROZEN_COLUMNS,
-)
+from .layout import CONTACT_INTS, EVENT, FREE, FROZEN_COLUMNS
 from .scene import Scene
 from .state import State
 from .system_cache import put_back, take_system
@@ -91,7 +87,7 @@ def _row_of(nq: int, nv: int, nc: int, nwork: int, turning: int) -> np.dtype[np.
     """A row of numbers as `record_row` writes it."""
     of_joints = [("t", float), ("q", float, (nq,)), ("v", float, (nv,)), ("torques", float, (nv,))]
     works = ("works", float, (nwork,))
-    of_contacts = {"location": (nc, 4), "frozen": (nc, FROZEN_COLUMNS), "references": (nc, 3)}
+    of_contacts = {"location": (nc, 4), "frozen": (nc, FROZEN_COLUMNS), "forces": (nc, 3)}
     shapes = {**of_contacts, "resistances": (turning, 3)}
     return np.dtype([*of_joints, works, *((name, float, shape) for name, shape in shapes.items())])
 
@@ -102,8 +98,8 @@ class Recorded:
 
     location (n, nc, 4); discrete (n, nc, DISCRETE_COLUMNS), see `State`; directions (n, nc, 3) prescribed slip
     directions; works (n, NUMBER_OF_WORKS) in J; torques (n, nv) of the user and on joints; resistances (n, nc, 3)
-    torques in N m on the second contours; total energy at the run's start in J; references: output -> redundant forces
-    chosen there (nc, 3). None for what was not recorded.
+    torques in N m on the second contours; total energy at the run's start in J; forces: output ->
+    contact forces (nc, 3) in their bases, where contacts alone would have others. None for what was not recorded.
     """
 
     location: np.ndarray
@@ -113,7 +109,7 @@ class Recorded:
     torques: np.ndarray | None
     resistances: np.ndarray | None
     total_at_start: np.ndarray | None
-    references: dict[int, np.ndarray] = field(default_factory=dict)
+    forces: dict[int, np.ndarray] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Those that are there."""
@@ -122,8 +118,8 @@ class Recorded:
     def rows(self, which: np.ndarray) -> Recorded:
         """These outputs, in this order."""
         chosen = {name: array[which] for name, array in self.arrays().items() if name in _PER_OUTPUT}
-        references = {new: self.references[old] for new, old in enumerate(which.tolist()) if old in self.references}
-        return replace(self, **chosen, references=references)
+        forces = {new: self.forces[old] for new, old in enumerate(which.tolist()) if old in self.forces}
+        return replace(self, **chosen, forces=forces)
 
 
 _PER_OUTPUT = ("location", "discrete", "directions", "works", "torques", "resistances")
@@ -146,7 +142,7 @@ def _unpack(
     turning = np.array(of_steps) if of_steps else None
     if columns["resistances"].shape[1]:
         turning = np.where(swapped, -1.0, 1.0)[:, None] * columns["resistances"]
-    references = columns["references"]
+    forces = columns["forces"]
     return Recorded(
         columns["location"],
         discrete_part(whole[:, :, :CONTACT_INTS], whole[:, :, CONTACT_INTS:]),
@@ -155,7 +151,7 @@ def _unpack(
         columns["torques"] if with_torques else None,
         turning,
         total_at_start,
-        {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
+        {int(i): forces[i] for i in np.flatnonzero(forces.any(axis=(1, 2)))},
     )
 
 
@@ -170,7 +166,7 @@ def _with_output_modes(
     v: np.ndarray,
 ) -> Recorded:
     """What was recorded, with the modes that hold at the outputs in place of the steps' own."""
-    recorded = unpack()
+    recorded = replace(unpack(), forces={})
     closed = np.flatnonzero((recorded.discrete[:, :, 0] != FREE).any(axis=1)).tolist()
     if not closed:
         return recorded
@@ -184,8 +180,8 @@ def _with_output_modes(
         if modes.resolve(float(t[i])):
             recorded.discrete[i] = read_discrete(system)
             recorded.directions[i] = present_directions(system)
-        if system.scalars.has_reference:
-            recorded.references[i] = system.reference[: system.nc].copy()
+        if system.scalars.has_reference and system.evaluate(float(t[i])) <= EVENT:
+            recorded.forces[i] = system.force[: system.nc].copy()
         system.contact_int[:], system.contact_real[:] = kept
     if cached is not None:
         put_back(scene, cached)
@@ -207,9 +203,9 @@ def joined(one: Recorded, kept: int, two: Recorded, first: int, works: np.ndarra
         two = replace(two, works=None if works is None else two.works + works)
     both: dict[str, Any] = {name: rows(name) for name in _PER_OUTPUT if name != "works"}
     done = None if one.works is None or two.works is None else rows("works")
-    references = {i: x for i, x in one.references.items() if i < kept}
-    references |= {kept + i - first: x for i, x in two.references.items() if i >= first}
-    return replace(one, **both, works=done, references=references)
+    forces = {i: x for i, x in one.forces.items() if i < kept}
+    forces |= {kept + i - first: x for i, x in two.forces.items() if i >= first}
+    return replace(one, **both, works=done, forces=forces)
 
 
 def load_output(system: RunSystem, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:

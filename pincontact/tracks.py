@@ -250,12 +250,10 @@ def _evaluate_outputs(
     holds = bool(joint_limits(system.model))
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
-        system.scalars.has_reference = float(i in recorded.references)
-        system.reference_start[:nc], system.reference_slope[:] = recorded.references.get(i, 0.0), 0.0
         known = system.evaluate(time := float(t[i])) <= EVENT
         if known and FREE in system.modes and opened.follow(time):
             known = system.evaluate(time) <= EVENT
-        if not known and holds:
+        if not known and holds and i not in recorded.forces:
             # joints that are held are free here, their forces given, so that slip may have lost positivity which it has
             # in the run; forces that satisfy the law are the run's
             system.counters.decided = 1
@@ -265,6 +263,8 @@ def _evaluate_outputs(
         if known or system.evaluate_kinematics(time) == OK:
             for name, view in views.items():
                 values[name][len(rows)] = view if known or name != "force" else np.nan
+            if i in recorded.forces:
+                values["force"][len(rows)] = recorded.forces[i]
             rows.append(i)
     return np.array(rows, dtype=np.int64), {name: array[: len(rows)] for name, array in values.items()}
 

@@ -82,7 +82,7 @@ def assert_same(a, b):
     """Every bit of two runs, except how long they took."""
     assert (a.status, a.message) == (b.status, b.message)
     every = [{"t": run.t, "q": run.q, "v": run.v, **vars(run._recorded)} for run in (a, b)]
-    one, two = (values.pop("references") for values in every)
+    one, two = (values.pop("forces") for values in every)
     assert {i: forces.tobytes() for i, forces in one.items()} == {i: forces.tobytes() for i, forces in two.items()}
     for name, one in every[0].items():
         two = every[1][name]

@@ -8,7 +8,7 @@ from ..callback import separate_kernel
 from ..dynamics.equations import dry_friction_force
 from ..dynamics.resistance import count_items
 from ..jit import NOTHING, REAL, kernel
-from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, JOINT_V, MODE, OWNER, SLIPPING, START, SYSTEM, TANGENTS
+from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, JOINT_V, MODE, OWNER, START, SYSTEM, TANGENTS
 from ..workspace import flat
 
 # Integers of a contact in a row: its own, and its two charts.
@@ -20,7 +20,8 @@ BLOCK = 256
 @separate_kernel(NOTHING, SYSTEM.type, REAL)
 def record_row(system, t):
     """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
-    redundant forces where they were chosen or are shared, torques on body 2 that resist turning where there may be any.
+    contact forces where evaluations of the contacts alone do not give them, torques on body 2 that resist turning where
+    there may be any.
     """
     sizes, index = system.sizes, system.counters.recorded
     nq, nv, nc, nwork = sizes.nq, sizes.nv, sizes.nc, sizes.nwork
@@ -49,12 +50,11 @@ def record_row(system, t):
         charts = _put(whole, c * INTEGERS_PER_CONTACT, modes[c], CONTACT_INTS)
         for k in range(2):
             whole[charts + k] = system.side_int[2 * c + k, CHART]
-    chosen = system.scalars.has_reference
+    # contacts alone would choose others than they do together with joints and resistances, or have chosen before
+    told = 1.0 if n > nc else system.scalars.has_reference
     for c in range(nc):
         for k in range(3):
-            row[at + 3 * c + k] = chosen * system.reference[c, k]
-        if n > nc:
-            _record_forces(modes[c], force[c], row[at + 3 * c :])
+            row[at + 3 * c + k] = told * force[c, k]
     at += 3 * nc
     if n > nc + ng:
         turning = row[at:]
@@ -66,15 +66,6 @@ def record_row(system, t):
                     for k in range(3):
                         turning[3 * modes[i, OWNER] + k] += force[i, j] * system.basis[i, j, k]
     system.counters.recorded = index + 1
-
-
-@kernel
-def _record_forces(contact, force, row):
-    """Forces of a contact, where held joints and resistances share in a choice: contacts alone would have another."""
-    _put(row, 0, force, 3)
-    if contact[MODE] == SLIPPING and force[2] == 0.0:
-        # held up by friction alone, which is its multiplier
-        row[2] = math.hypot(force[0], force[1])
 
 
 @kernel

@@ -134,7 +134,6 @@ def units_of_feet(points, mu, inertia, v, step=1e-6):
         directions @ directions.T,
         base,
         np.asarray(mu),
-        directions,
         np.ones((n, 3), dtype=bool),
         np.arange(n),
         np.zeros(n),

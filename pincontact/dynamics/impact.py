@@ -241,7 +241,7 @@ class _Problem(ContactProblem):
         """The problem with its present impulses, in these modes (n,)."""
         parents, real = self.parents(), self.weights.reshape(-1, 3) == 0.0
         present = self.forces.reshape(-1, 3), (self.gram @ self.forces + b).reshape(-1, 3)
-        return Units(self.gram, b, mu, self.reduced.T, real, parents, np.zeros(mu.size), modes, *present)
+        return Units(self.gram, b, mu, real, parents, np.zeros(mu.size), modes, *present)
 
     def _choose(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray) -> None:
         """Of redundant impulses take those that the rule for sliding contacts has, where these solve the problem, too:

@@ -33,15 +33,14 @@ _SIGNS_TRIED = 16
 class Units:
     """A cone problem of n units, of a time step or an impact, and what is known of its solution.
 
-    gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
-    are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;
-    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3).
+    gram (3n, 3n), base (3n,), friction (n,): the problem; real (n, 3): which rows are; parents (n,): the unit of whose
+    normal force a multiple limits the others, -1 where loads (n,) are given; modes (n,): of the solution, what is to be
+    held at rest included; forces, velocities (n, 3).
     """
 
     gram: np.ndarray
     base: np.ndarray
     friction: np.ndarray
-    directions: np.ndarray
     real: np.ndarray
     parents: np.ndarray
     loads: np.ndarray
@@ -58,8 +57,7 @@ class Units:
         gram[k] -= weights[:, None] * rows
         b[k] = -weights * base
         real[of, 2], parents[of] = True, of
-        directions = np.hstack([self.directions, gram[k].T])
-        return replace(self, gram=gram, base=b, directions=directions, real=real, parents=parents)
+        return replace(self, gram=gram, base=b, real=real, parents=parents)
 
 
 def holding_forces(units: Units, only: bool = False) -> np.ndarray | None:

@@ -36,7 +36,6 @@ class _Problem:
     base: np.ndarray
     friction: np.ndarray
     units: np.ndarray
-    directions: np.ndarray
 
     @property
     def cones(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -50,7 +49,7 @@ class _Problem:
         turns = units["kind"] == ON_TURN
         parents = np.where(real[:, 2], np.arange(self.n), np.where(turns, units["parent"], -1))
         pairs = forces.reshape(-1, 3), velocities.reshape(-1, 3)
-        return Units(*self.cones, self.directions, real, parents, units["load"], modes, *pairs)
+        return Units(*self.cones, real, parents, units["load"], modes, *pairs)
 
     @property
     def real_rows(self) -> np.ndarray:
@@ -127,7 +126,7 @@ class ImpulseSolver:
     def _assembled(self) -> _Problem:
         arrays, n = self._arrays, self._counts["units"].item()
         gram, rows = arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n), slice(3 * n)
-        return _Problem(n, gram, arrays.loads[rows], arrays.friction[:n], arrays.units[:n], arrays.whitened[rows])
+        return _Problem(n, gram, arrays.loads[rows], arrays.friction[:n], arrays.units[:n])
 
     def _share_tables(self) -> None:
         """Let compiled steps know where the solver works."""

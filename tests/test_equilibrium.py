@@ -269,6 +269,22 @@ def test_moving_start_without_symmetries():
     assert abs(pc.find_steady_motion(pc.Scene(model), [0.1], [0.0]).state.q[0]) < 1e-9
 
 
+def test_what_slides_in_a_steady_motion_is_what_slides_at_the_start():
+    """A ball that rolls on straight, sought from where it nearly rolls: with friction that slides it is not steady."""
+    for law, slides in ((pc.NoSlip(), False), (pc.Coulomb(0.5), True)):
+        model = one_body(pin.JointModelFreeFlyer(), pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)))
+        scene = pc.Scene(model)
+        ball = scene.add_contour("ball", pc.Sphere(0.1), "body")
+        scene.add_contact("c", ball, scene.add_contour("floor", pc.Plane()), law)
+        q, v = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0], [0.1, 0.0, 0.0, 0.0, 1.01, 0.0]
+        if slides:
+            with pytest.raises(pc.SolverError, match="contacts that slide, as with v0: 'c'"):
+                pc.find_steady_motion(scene, q, v, conditions=lambda q, v: [v[0] - 0.1])
+        else:
+            found = pc.find_steady_motion(scene, q, v, conditions=lambda q, v: [v[0] - 0.1])
+            assert found.state.v[4] == pytest.approx(1.0, abs=1e-8)
+
+
 @pytest.mark.parametrize("side", [None, 1])
 def test_a_search_does_not_go_through_bodies(side):
     """To where an ellipsoid would hang below a saddle: it stands on it, with its centre above the point of contact."""

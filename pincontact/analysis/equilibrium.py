@@ -14,7 +14,7 @@ from ..dynamics.joints import check_joint_limits
 from ..dynamics.units import whitened_velocity
 from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError, StateError
 from ..geometry.search import stationary_points
-from ..layout import BRANCH, CHART, DOMAIN, END_MARGIN, SIDE, UNILATERAL
+from ..layout import BRANCH, CHART, DOMAIN, END_MARGIN, MODE, SIDE, SLIPPING, UNILATERAL
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -163,7 +163,8 @@ def find_steady_motion(
     q0 : (nq,) array_like
         Where the search starts, in m and rad.
     v0 : (nv,) array_like
-        Likewise, in m/s and rad/s.
+        Likewise, in m/s and rad/s. Contacts with friction that slide then, however slowly, slide in the motion found,
+        too; the others roll. A start that nearly rolls needs `NoSlip`, or a v0 on which it rolls.
     tau, t
         As for `find_equilibrium`.
     conditions : callable, optional
@@ -281,9 +282,13 @@ def _search(
         )
     what = "steady motion" if moves else "equilibrium"
     if not size <= most:
+        modes = instant.system.contact_int[: instant.system.nc, MODE].tolist()
+        sliding = [repr(c.name) for c, mode in zip(instant.system.contacts, modes) if mode == SLIPPING]
+        slides = f"; contacts that slide, as with v0: {', '.join(sliding)}" if sliding else ""
         raise SolverError(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
             f"(tolerance {most:.3g}); all contacts stay closed, and tau= or actuation= are torques that help to hold it"
+            f"{slides}"
         )
     q, v = point[:2]
     check_joint_limits(instant.system.limits, q)

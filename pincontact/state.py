@@ -462,7 +462,7 @@ def _beside(single: System, t: float, guess: np.ndarray) -> list[Candidate]:
     except SingularContactError:
         every = []
     found = [one for one in every if one.gap > 0.0]
-    if every and not found and side_of_all(single, t) != (contact.side or 1):
+    if every and not found and side_of_all(single, t) == -(contact.side or 1):
         raise SingularContactError(
             f"contact {contact.name!r}: {contact.first.name!r} and {contact.second.name!r} are apart, and on the other "
             f"side of each other than it has them: give add_contact side={-(contact.side or 1):+d}",
@@ -516,6 +516,7 @@ def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: fl
         raise NoContactError(
             f"contact {contact.name!r}: no point at which {pair} could touch was found in this configuration; move q, "
             "give add_contact a guess location=(u_first, u_second), or look at the contours' domains"
+            + (", or, as it is open and which sides face each other is not seen here, give side=" if is_free else "")
         )
     chosen = on_side(found, side)[0]
     limit = max_gap if max_gap is not None else CLOSED_WITHIN * characteristic_length(contact)

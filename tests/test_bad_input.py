@@ -318,6 +318,26 @@ def test_open_contacts_may_start_where_nothing_can_touch():
     assert run.q[-1, 2] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=1e-8)
 
 
+def test_arcs_that_face_away_from_each_other_need_their_side():
+    """Where no points of open contacts are nearest, and both contours end, the side is not seen; given, it runs."""
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    for name, x in (("one", 0.0), ("two", 0.3)):
+        joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    away = [np.pi, 0.0]
+    for side in (None, 1, -1):
+        scene = pc.Scene(model)
+        arc = pc.ParametricCurve(lambda u: (0.14 * np.cos(u), 0.1 * np.sin(u), 0.0), domain=(-0.4, 0.4))
+        pair = [scene.add_contour(f"arc {name}", arc, name) for name in ("one", "two")]
+        scene.add_contact("c", *pair, side=side)
+        if side is None:
+            with pytest.raises(pc.NoContactError, match="give side="):
+                scene.initial_state(away, free=["c"])
+        else:
+            assert pc.simulate(scene, scene.initial_state(away, free=["c"]), 0.1).status == 0
+
+
 def test_small_gap_is_closed_and_reported(scene):
     state = scene.initial_state(leaning(HEIGHT + 1e-3), ROLLING)
     assert state.correction.gaps["rim/floor"] == pytest.approx(1e-3, rel=1e-9)

@@ -34,7 +34,9 @@ def multipliers_of(null, held, m, scratch, gram):
     own = gram[last]
     for j in range(last):
         own[j] = (own[j] - inner(own, gram[j], j)) / gram[j, j]
-    left, least = own[last] - inner(own, own, last), RANK_TOLERANCE * own[last]
+    least = RANK_TOLERANCE * own[last]
+    # more than the equations leave open depend on each other, whatever round-off has made of loads that nearly do
+    left = own[last] - inner(own, own, last) if m <= null.shape[0] else 0.0
     own[last] = sqrt(max(left, least))
     solve_definite(gram, m, trial)
     return left > least

@@ -358,17 +358,19 @@ class NearestSearch:
             i = int(np.argmax(depths))
             depth, place, margin = depths[i], samples[i], np.full(2, depths[i])
         elif self.whole.rounding == 0.0:
-            # cells tell no better than they are large, as beside ends
-            apart = self._least_distance(t, i, int(self._cells.order[self._cells.pairs[i]])) if touches else math.inf
-            depth = math.inf if apart <= SAME_PLACE * self.system.contact_real[self.c, LENGTH] else 0.0
+            depth = math.inf if touches and not self._is_beside_ends(t, i) else 0.0
         ends = zip(place, margin, self.divided.domain, self.divided.periodic)
         within = all(wraps or low + near < u < high - near for u, near, (low, high), wraps in ends)
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
 
-    def _least_distance(self, t: float, cell: int, sample: int) -> float:
-        """Of the contours within their ends, in m, downhill from a cell of the one and a sample of the other; infinite
-        where that leads to an end."""
+    def _is_beside_ends(self, t: float, cell: int) -> bool:
+        """Whether two curves with ends, of which cells tell that they may touch, do not: downhill from this cell and
+        the sample next to it they come to an end, or stay apart."""
         contours, (rotation, centre) = (self.divided, self.whole.core), self.pose()
+        ends = [*self.divided.ends(), *self.whole.core.ends()]
+        if any(contour.dimension != 1 for contour in contours) or not np.isfinite(ends).any():
+            return False
+        sample = int(self._cells.order[self._cells.pairs[cell]])
         n, dimension = self.divided.dimension, self.divided.dimension + self.whole.core.dimension
         axes = [end for contour in contours for end in zip(contour.domain, contour.periodic)]
         low, high = np.array([(-math.inf, math.inf) if wraps else ends for ends, wraps in axes]).T
@@ -388,7 +390,8 @@ class NearestSearch:
         near = scipy.optimize.least_squares(way, start, slopes, (low, high), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         # a distance that is least to its square does not know its place better
         at_end = np.minimum(near.x - low, high - near.x) <= math.sqrt(SAME_PLACE) * (high - low)
-        return math.inf if at_end[np.isfinite(high - low)].any() else float(np.linalg.norm(near.fun))
+        apart = float(np.linalg.norm(near.fun)) > SAME_PLACE * self.system.contact_real[self.c, LENGTH]
+        return apart or bool(at_end[np.isfinite(high - low)].any())
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""

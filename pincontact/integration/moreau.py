@@ -234,13 +234,6 @@ class MoreauStep:
         """A step of size h from the start at t; returns a status of `layout`."""
         return self._run(TRY, t, h)
 
-    def foretell(self, t: float, h: float) -> None:
-        """Know the mean forces on joints over the step of size h (s) from t, where steps begin, before it is made."""
-        if self.acts_on_joints and self.try_step(t, h) == OK:
-            impulse = self._joint_impulse.copy()
-            self._run(BEGIN, t)
-            self._joint_impulse[:], self._numbers["h"] = impulse, h
-
     def accept(self, t: float) -> None:
         """The state after the trial step becomes the start; t is its time."""
         self._run(ACCEPT, t)

@@ -88,7 +88,6 @@ class MoreauDriver:
         refuse_apart(step.apart)
         for event in self.users:
             event.value = event.value_at(start, self.system)
-        step.foretell(start, self.size)
         self.output(start)
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there

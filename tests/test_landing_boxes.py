@@ -25,7 +25,7 @@ def landed(seed: int, order: list[int]) -> pc.Trajectory:
         point = scene.add_contour(name, pc.Point(), "body", pin.SE3(np.eye(3), corner))
         law = pc.Coulomb(mu, spinning=spinning, rolling=rolling)
         scene.add_contact(name, point, floor, law, restitution=restitution)
-    # a third of them lands on all corners at once
+    # some land on two corners, or on all of them, at once
     turned = pin.exp3(rng.normal(size=3) * rng.choice([0.1, 0.3]) * [rng.random() < 0.7, rng.random() < 0.7, 1.0])
     flat = abs(turned[2, 2] - 1.0) < 1e-9
     v = rng.normal(size=6) * [0.5, 0.5, 0.3, 2.0 * (not flat), 2.0 * (not flat), 2.0]

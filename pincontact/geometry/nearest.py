@@ -366,18 +366,18 @@ class NearestSearch:
     def _is_beside_ends(self, t: float, cell: int) -> bool:
         """Whether two curves with ends, of which cells tell that they may touch, do not: downhill from this cell and
         the sample next to it they come to an end, or stay apart."""
-        contours, (rotation, centre) = (self.divided, self.whole.core), self.pose()
-        ends = [*self.divided.ends(), *self.whole.core.ends()]
-        if any(contour.dimension != 1 for contour in contours) or not np.isfinite(ends).any():
+        curves, (rotation, centre) = (self.divided, self.whole.core), self.pose()
+        if (
+            any(curve.dimension != 1 for curve in curves)
+            or not np.isfinite([*curves[0].ends(), *curves[1].ends()]).any()
+        ):
             return False
         sample = int(self._cells.order[self._cells.pairs[cell]])
-        n, dimension = self.divided.dimension, self.divided.dimension + self.whole.core.dimension
-        axes = [end for contour in contours for end in zip(contour.domain, contour.periodic)]
-        low, high = np.array([(-math.inf, math.inf) if wraps else ends for ends, wraps in axes]).T
-        start = np.append(self._cells.middles[cell, :n], self.whole.parameters[sample, : dimension - n])
+        start = [self._cells.middles[cell, 0], self.whole.parameters[sample, 0]]
+        low, high = np.array([(-math.inf, math.inf) if each.periodic[0] else each.domain[0] for each in curves]).T
 
-        def values(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return tuple(evaluated(of, part[None], t)[0] for of, part in zip(contours, (place[:n], place[n:])))
+        def values(place: np.ndarray) -> list[np.ndarray]:
+            return [evaluated(curve, u.reshape(1, 1), t)[0] for curve, u in zip(curves, place)]
 
         def way(place: np.ndarray) -> np.ndarray:
             first, second = values(place)
@@ -385,7 +385,7 @@ class NearestSearch:
 
         def slopes(place: np.ndarray) -> np.ndarray:
             first, second = values(place)
-            return np.vstack([first[1 : n + 1], -second[1 : dimension - n + 1] @ rotation.T]).T
+            return np.column_stack([first[1], -rotation @ second[1]])
 
         near = scipy.optimize.least_squares(way, start, slopes, (low, high), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         # a distance that is least to its square does not know its place better

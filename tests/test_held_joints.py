@@ -43,11 +43,12 @@ def trolley(seed, legs):
     return scene, scene.initial_state(q, speed * np.eye(model.nv)[0])
 
 
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
 @pytest.mark.parametrize("legs", [1, 2])
 @pytest.mark.parametrize("seed", range(10))
-def test_held_joints_count_as_held_in_outputs(seed, legs):
+def test_held_joints_count_as_held_in_outputs(seed, legs, method):
     scene, start = trolley(seed, legs)
-    run = pc.simulate(scene, start, DURATION)
+    run = pc.simulate(scene, start, DURATION, method=method)
     assert run.status == 0, run.message
     weight = GRAVITY * sum(inertia.mass for inertia in scene.model.inertias)
     loads = sum(track.normal_force for track in run.contacts.values())

@@ -234,6 +234,20 @@ class MoreauStep:
         """A step of size h from the start at t; returns a status of `layout`."""
         return self._run(TRY, t, h)
 
+    def foresee(self, t: float, h: float) -> None:
+        """Know the forces of a step of size h from the start at t as those of the last step; before any step."""
+        kept = self.kept()
+        status = self.try_step(t, h)
+        means = [(of, of.copy()) for of, _ in self._shares]
+        self.restore(kept)
+        # nothing has been solved, and nothing is known to start from
+        self.cones.solver.renew()
+        self.cones.begin()
+        if status == OK:
+            self._numbers["h"] = h
+            for of, mean in means:
+                of[:] = mean
+
     def accept(self, t: float) -> None:
         """The state after the trial step becomes the start; t is its time."""
         self._run(ACCEPT, t)

@@ -88,6 +88,9 @@ class MoreauDriver:
         refuse_apart(step.apart)
         for event in self.users:
             event.value = event.value_at(start, self.system)
+        if step.acts_on_joints:
+            # forces of outputs are those of the step before
+            step.foresee(start, min(self.size, end - start) if end > start else self.size)
         self.output(start)
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there

@@ -103,7 +103,7 @@ def test_elliptic_gears_that_cannot_part(start, friction):
     )
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("options", [{}, {"max_step": 1e-4}, {"method": "Moreau", "dt": 1e-4}])
 def test_flanks_that_are_next_to_each_other_pass_their_tips(seed, options):
     """Two involutes turn past each other, a tenth of a millimetre apart all the time: as both end they are nowhere near

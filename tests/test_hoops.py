@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import brentq
 from shared import one_body
 
 import pincontact as pc
@@ -23,7 +24,7 @@ def gap(q, radius, tube):
 
 
 @pytest.mark.parametrize("kind", RINGS)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_ring_bounces_on_a_ball(seed, kind):
     rng, (shape, tube) = np.random.default_rng(seed), RINGS[kind]
     radius = rng.uniform(0.1, 0.28)
@@ -47,7 +48,7 @@ def test_a_ring_bounces_on_a_ball(seed, kind):
     assert np.abs(run.energies().balance).max() < 1e-7
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_hoop_that_starts_beside_a_ball_is_outside(seed):
     """Whichever of its points Newton's method finds first."""
     rng = np.random.default_rng(seed)
@@ -64,11 +65,14 @@ def test_a_hoop_that_starts_beside_a_ball_is_outside(seed):
     state = scene.initial_state(q, [*(turned.T @ [0.0, 0.0, -speed]), 0.0, 0.0, 0.0], free=["c"])
     run = pc.simulate(scene, state, 0.05)
     assert run.contacts["c"].gap[0] == pytest.approx(apart, abs=1e-12)
+
     # it falls without turning
-    times = np.linspace(0.0, 0.05, 50_001)
-    places = q - np.outer(speed * times + 0.5 * 9.81 * times**2, np.eye(7)[2])
-    touch = times[[gap(one, radius, 0.0) < 0.0 for one in places]][0]
-    assert run.events[0].kind == "touch" and run.events[0].time == pytest.approx(touch, abs=2e-6)
+    def apart_at(t):
+        return gap(q - (speed * t + 0.5 * 9.81 * t * t) * np.eye(7)[2], radius, 0.0)
+
+    inside = next(t for t in np.linspace(0.0, 0.05, 501) if apart_at(t) < 0.0)
+    touch = brentq(apart_at, inside - 1e-4, inside, xtol=1e-12)
+    assert run.events[0].kind == "touch" and run.events[0].time == pytest.approx(touch, abs=1e-8)
 
 
 @pytest.mark.parametrize("misses", [1, 3])

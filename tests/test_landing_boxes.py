@@ -36,8 +36,8 @@ def landed(seed: int, order: list[int]) -> pc.Trajectory:
     return run
 
 
-# in 15 there are two solutions: the box may turn on, or stop to turn, by loads that all the same rule has
-@pytest.mark.parametrize("seed", [seed for seed in range(24) if seed != 15])
+# seed 15 has two solutions: the box may turn on, or stop to turn, by loads that all the same rule has
+@pytest.mark.parametrize("seed", range(12))
 def test_the_order_of_names_says_nothing(seed):
     last = [landed(seed, order).q[-1] for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0])]
     # rebounds and turning friction grow the tolerance of 1e-8

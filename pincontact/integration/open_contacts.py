@@ -143,17 +143,20 @@ class OpenContacts:
         """Have contacts that are beside ends, at the accepted state, which is evaluated, on the sides on which their
         bodies are, where these are not given, and near where these are nearest, if that may not hold for h. They are
         beside until bodies are over each other, or have touched."""
-        integers = self.system.contact_int
-        for c in self._list():
-            # what comes over an end again may do so on the other side; curves cross beside their ends in any step
-            may_turn = self.system.contact_real[c, DOMAIN] < 0.0 or integers[c, PATTERN] == CROSSING_CURVES
-            if may_turn and self._takes_sides(c):
-                integers[c, BESIDE] = 1
+        system, integers = self.system, self.system.contact_int[: self.system.nc]
+        numbers, crosses = system.contact_real[: system.nc], integers[:, PATTERN] == CROSSING_CURVES
+        # what comes over an end again may do so on the other side; curves cross beside their ends in any step
+        may_turn = (integers[:, BESIDE] == 0) & (crosses | (numbers[:, DOMAIN] < 0.0))
+        for c in np.flatnonzero(may_turn & (integers[:, UNILATERAL] != 0) & (system.modes == FREE)).tolist():
+            integers[c, BESIDE] = self._takes_sides(c)
         self._ending, self._hold = self.at_ends(), math.inf
+        apart = system.gaps[: system.nc, 0] > SAME_PLACE * numbers[:, LENGTH]
+        apart |= self.apart & (numbers[:, DOMAIN] >= 0.0)
         for c in self._ending:
-            if self.crosses(c):
-                self._cross(c)
+            if crosses[c]:
                 self._hold = min(self._hold, h)
+                if not apart[c]:
+                    self._cross(c)
                 continue
             holds = self._side_holds(t, c) if c in self._beside else 0.0
             if holds < h:
@@ -179,10 +182,7 @@ class OpenContacts:
     def _cross(self, c: int) -> None:
         """Have crossing curves that are beside each other's ends, or have come in from there on the far side, on the
         side on which they are apart."""
-        numbers, gap = self.system.contact_real[c], self.system.gaps[c, 0]
-        if gap >= NOTHING_THERE or (numbers[DOMAIN] >= 0.0 and self.apart[c]):
-            return
-        side = side_of_crossing(self.system, c)
+        numbers, side = self.system.contact_real[c], side_of_crossing(self.system, c)
         if side not in (0, self.system.contact_int[c, SIDE]):
             self.system.contact_int[c, SIDE] = side
             for normal in (LAST_NORMAL_X, NEXT_NORMAL_X):

@@ -50,6 +50,10 @@ _AT_LIMIT = 1e-6
 _NOTHING = 1e-7
 # How far, in m and rad, a motion is looked ahead for constraints that become independent.
 _AHEAD = 1e-4
+# What constraints that showed as redundant have let a velocity miss, in what errors of steps explain.
+_MISSED = 10.0
+# Times over which what lies ahead is looked for, each so many times as long as the one before.
+_LONGER = 10.0
 
 
 class ModeChanges:
@@ -398,12 +402,12 @@ class ModeChanges:
         if not self.let_slide(t):
             self.project(t, False)
 
-    def closes(self, t: float, evaluated: bool = False) -> bool:
-        """Put the state on its constraints; whether it can be, by no more than errors of steps."""
+    def closes(self, t: float, evaluated: bool = False, times: float = 1.0) -> bool:
+        """Put the state on its constraints; whether it can be, by no more than so many times errors of steps."""
         before = self.system.v.copy()
         found = self.rk.project(t, evaluated)
         taken, speed = self.modes.taken_from(before)
-        return found and taken <= self.modes.explained(speed)
+        return found and taken <= times * self.modes.explained(speed)
 
     def let_slide(self, t: float) -> bool:
         """Let slide what friction cannot stop, see `ModeSolver.let_slide`, and project the state of stage_state; False
@@ -411,14 +415,38 @@ class ModeChanges:
         system, modes = self.system, self.modes
         integers, limits, state = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
         self.evaluate_rows(t)
-        if modes.let_slide(t, self.rk.evaluate, self.ahead).status <= EVENT:
-            changed = (system.contact_int[:, MODE] != integers[:, MODE]).any()
-            if changed and self.closes(t, True):
-                return True
-        system.contact_int[:], system.joint_int[:] = integers, limits
-        self.rk.load(state)
-        self.rk.evaluate(t)
+        # over a time in which loads count for more than what the velocity misses by, if that will do
+        for longest in (self._time_ahead(), self.ahead):
+            if self._decide_over(t, longest).status <= EVENT:
+                changed = (system.contact_int[:, MODE] != integers[:, MODE]).any()
+                if changed and self.closes(t, True, _MISSED):
+                    return True
+            system.contact_int[:], system.joint_int[:] = integers, limits
+            self.rk.load(state)
+            self.rk.evaluate(t)
         return False
+
+    def _decide_over(self, t: float, longest: float) -> Decision:
+        """`ModeSolver.let_slide` over this time in s. Constraints that are next to redundant leave a search hardly
+        anything to go by: where it finds nothing, solutions over shorter times, in which they show, lead to it."""
+        system, times = self.system, [longest]
+        integers, limits, shorter = system.contact_int.copy(), system.joint_int.copy(), self.ahead
+        while 0.0 < shorter < longest < math.inf:
+            times.append(shorter)
+            shorter *= _LONGER
+        for ahead in [*times, longest] if len(times) > 1 else times:
+            decision = self.modes.let_slide(t, self.rk.evaluate, ahead)
+            if decision.status <= EVENT and ahead == longest:
+                break
+            system.contact_int[:], system.joint_int[:] = integers, limits
+            self.rk.evaluate(t)
+        return decision
+
+    def _time_ahead(self) -> float:
+        """Time in s in which the evaluated state moves by `_AHEAD`."""
+        speed, rate = (float(np.abs(of).max()) for of in (self.system.v, self.system.acceleration))
+        # half of it from both
+        return time_to_cover(_AHEAD, speed, rate)
 
     def look_ahead(self, t: float) -> tuple[list[int], list[int]]:
         """The closed contacts that open, and those that slip, as soon as the accepted state has moved, however little:
@@ -431,9 +459,7 @@ class ModeChanges:
         system, rk, modes = self.system, self.rk, self.modes
         if not self._is_redundant() or rk.evaluate_start(t) > EVENT:
             return [], []
-        speed, rate = float(np.abs(system.v).max()), float(np.abs(system.acceleration).max())
-        # half an `_AHEAD` each from both
-        h = time_to_cover(_AHEAD, speed, rate)
+        h = self._time_ahead()
         if not h < math.inf:
             return [], []
         integers, limits, numbers = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
@@ -445,7 +471,7 @@ class ModeChanges:
         system.v[:] = v + change
         status, opened, slipping = rk.evaluate(t), [], []
         if (status <= EVENT or status == NO_FORCE) and system.counters.row_rank > rank:
-            decision = modes.let_slide(t, rk.evaluate, h)
+            decision = self._decide_over(t, h)
             if decision.status <= EVENT:
                 slips = (system.modes == SLIPPING) & (integers[: system.nc, MODE] == STICK)
                 opened, slipping = decision.opened, np.flatnonzero(slips).tolist()

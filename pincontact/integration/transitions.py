@@ -304,7 +304,9 @@ class Transitions:
         if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)
             return t
-        return self._open(t, [c])
+        self.rk.accept()
+        opened, _ = self.changes.look_ahead(t)
+        return self._open(t, opened if c in opened else [c])
 
     def _turn_normal(self, t: float, c: int) -> float:
         """The normal force of bilateral contact c changes its sign, which the force itself, as good as zero, does not

@@ -119,6 +119,9 @@ class ModeChanges:
                 self.stop_slips(t, sliding)
                 self.count_loss(energy)
                 decision = self.modes.resolve_modes(t, self.sticking(), self.rk.evaluate, beyond)
+        if decision.status == NO_FORCE and self._is_redundant():
+            # constraints that are next to redundant hold nothing
+            decision = self._decide_over(t, self._time_ahead())
         if decision.status > EVENT:
             raise self.reports.failure(t, decision.status)
         return decision
@@ -412,7 +415,7 @@ class ModeChanges:
     def let_slide(self, t: float) -> bool:
         """Let slide what friction cannot stop, see `ModeSolver.let_slide`, and project the state of stage_state; False
         where that does not do, and nothing has changed."""
-        system, modes = self.system, self.modes
+        system = self.system
         integers, limits, state = system.contact_int.copy(), system.joint_int.copy(), system.stage_state.copy()
         self.evaluate_rows(t)
         # over a time in which loads count for more than what the velocity misses by, if that will do

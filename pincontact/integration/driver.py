@@ -17,12 +17,10 @@ import numpy as np
 from ..dynamics.redistribution import leaves_loads_open
 from ..layout import (
     DOMAIN,
-    DOMAIN_EVENT,
     EVENT,
     FREE,
     FRICTION_EVENT,
     LOCATION_FAILED,
-    MODE,
     NO_FORCE,
     NORMAL_EVENT,
     OK,
@@ -30,7 +28,7 @@ from ..layout import (
 from .accuracy import held_up
 from .contradictions import projection_failure
 from .dense import Interpolant
-from .ends import at_end
+from .ends import stays_within
 from .events import UserEvent, UserEvents, lost_zeros
 from .locator import Crossing, EventLocator
 from .options import Options
@@ -232,8 +230,11 @@ class Driver:
             raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.options.max_steps} steps was reached")
         elif why == AT_FLOOR or (why == STEP_FAILED and self.options.fixed_step):
             t = self._end_jams(t)
+        elif why == PROJECTION_FAILED and t < scalars.next_time and self._may_close(scalars.step):
+            self._shorten(scalars.step)
         elif why == PROJECTION_FAILED:
             t_new, step = scalars.next_time, scalars.step
+            self.outputs.write_until(t_new)
             t = self._go_on(self._give_way(t_new, self.system.new_state, step), usual_step)
         return t
 
@@ -376,19 +377,22 @@ class Driver:
                 crossing = self.locator.first(t, step, crossing.theta)
             if opened.is_near:
                 crossing = self.locator.comes_over(t, step, crossing)
-                may_be_shorter = not self.options.fixed_step and step > _RESTART * system.scalars.floor
-                if crossing is None and may_be_shorter and self.transitions.misses(t_new):
-                    self._take_back(told, kept)  # before anything is told or written of the step
-                    system.scalars.next_step = FAILED_FACTOR * step
+                if crossing is None and self._may_be_shorter(step) and self.transitions.misses(t_new):
+                    self._take_back(told, kept, step)  # before anything is told or written of the step
                     return t, False
             if asked:
                 self._announce_user_events(t, step, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
                 return self._change_modes(t, step, crossing, rests, told, kept)
-            if self.outputs.due(t_new):
-                self.outputs.write_until(t_new)
             rk.load(system.new_state)
-        closes = rk.project(t_new, not interpolated, rk.error)
+        closes, written = rk.project(t_new, not interpolated, rk.error), interpolated and self.outputs.due(t_new)
+        if not closes and self._may_close(step):
+            self._take_back(told, kept, step)
+            return t, False
+        if written:
+            self.outputs.write_until(t_new)
+            rk.load(system.new_state)
+            closes = rk.project(t_new, False, rk.error)
         self.outputs.keep(t, t_new, step)
         if not closes:
             return self._give_way(t_new, system.new_state, step), True
@@ -404,7 +408,7 @@ class Driver:
         time = t + crossing.theta * step
         if crossing.kind not in (NORMAL_EVENT, FRICTION_EVENT):
             return False
-        self._write_before(time)
+        self.outputs.write_until(time)
         self.outputs.keep(t, time, step)
         exists, _ = self.system.look(t, step, crossing.theta)
         if exists and self.transitions.changes.redistribute_within(time, crossing.c, crossing.kind):
@@ -414,14 +418,26 @@ class Driver:
 
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the trial step has no dense output, as where one of its stages fails."""
-        scalars = self.system.scalars
-        self._unmake()
         if self.options.fixed_step:
+            self._unmake()
             if not held_up(self.system):
                 raise no_dense_output(t)
             return self._end_jams(t), True
-        scalars.next_step = FAILED_FACTOR * step
+        self._shorten(step)
         return t, False
+
+    def _may_close(self, step: float) -> bool:
+        """Whether a shorter step may be projected where this one may not: its error was larger than was known, as over
+        knots of a contour, and no constraint next to redundant is in its way."""
+        return self._may_be_shorter(step) and self.system.counters.row_rank == self.system.counters.row_count
+
+    def _may_be_shorter(self, step: float) -> bool:
+        return not self.options.fixed_step and step > _RESTART * self.system.scalars.floor
+
+    def _shorten(self, step: float) -> None:
+        """Try a shorter step than this one."""
+        self._unmake()
+        self.system.scalars.next_step = FAILED_FACTOR * step
 
     def _unmake(self) -> None:
         """Count the trial step as rejected."""
@@ -429,17 +445,14 @@ class Driver:
         self.system.counters.rejected_count += 1
         self._thrown = True
 
-    def _take_back(self, told: int, kept: int) -> None:
-        """Count the trial step as rejected, and take back what was told, and kept, of it but so many events, and
-        pieces."""
-        self._unmake()
+    def _take_back(self, told: int, kept: int, step: float) -> None:
+        """Try a shorter step, and take back what was told, and kept, of this one but so many events, and pieces."""
+        self._shorten(step)
         del self.transitions.reports.events[told:]
-        for _ in range(kept, len(self.outputs)):
-            self.outputs.drop()
+        self.outputs.keep_only(kept)
 
     def _give_way(self, t: float, state: np.ndarray, step: float) -> float:
-        """Go on from a state at t, behind a step of this size, that could not be projected on the constraints; the new
-        time."""
+        """Go on from a state at t, behind a step of this size, that could not be projected; the new time."""
         failure = projection_failure(self.system, t)
         self.rk.load(state)
         self._allow_start(t, step)
@@ -455,10 +468,9 @@ class Driver:
         after = self.transitions.end_jams(t)
         if after is None:
             raise self.transitions.reports.failure(t, failure)
-        t = after
-        self._after(t)
+        self._after(after)
         self._restart(self.transitions.onset.seed)
-        return t
+        return after
 
     def _project(self, t: float, evaluated: bool) -> None:
         if not self.rk.project(t, evaluated, self.rk.error):
@@ -502,7 +514,7 @@ class Driver:
         for zero in self.users.crossings(t, step, until, dense):
             time = t + zero.theta * step
             if zero.event.terminal:
-                self._write_before(time)
+                self.outputs.write_until(time)
                 taken = step * zero.behind(min(until, 1.0), partial(self._value_after, t, step, zero.event))
                 time = t + taken
                 self._keep_to(t, taken, step)
@@ -530,15 +542,14 @@ class Driver:
         rk, error = self.rk, self.rk.error
         time, happens = t + crossing.theta * step, True
         if self.locator.jams(step, crossing):
-            self._take_back(told, kept)
+            self._take_back(told, kept, step)
             return self._end_jams(t), True
-        self._write_before(time)
+        self.outputs.write_until(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
             if taken <= step and rk.error > max(error, 1.0) and not self.options.fixed_step:
                 # forces jump there, as where rows become independent: longer steps may not see it
-                self._take_back(told, kept)
-                self.system.scalars.next_step = FAILED_FACTOR * taken
+                self._take_back(told, kept, taken)
                 return t, False
             time = t + taken
             self._keep_to(t, taken, step)
@@ -546,7 +557,8 @@ class Driver:
         rk.load(state)
         if not rk.project(time, False, rk.error):
             return self._give_way(time, state, step), True
-        if (not happens and self._doubts < _DOUBTS) or self._stays_within(crossing):
+        grazes = crossing.theta > 0.0 and stays_within(self.system, crossing.c, crossing.kind)
+        if (not happens and self._doubts < _DOUBTS) or grazes:
             # a shorter step, like any other
             self._doubts += not happens
             rk.accept()
@@ -562,13 +574,6 @@ class Driver:
         self._after(after, jumps=True)
         return after, True
 
-    def _stays_within(self, crossing: Crossing) -> bool:
-        """Whether a closed contact that was seen to reach the end of a contour has not done so in the projected state:
-        what grazes an end does not come over it, whatever the errors of steps are."""
-        c, kind, system = crossing.c, crossing.kind, self.system
-        closed = kind == DOMAIN_EVENT and c < system.nc and system.contact_int[c, MODE] != FREE
-        return bool(closed and crossing.theta > 0.0 and system.contact_real[c, DOMAIN] > at_end(system))
-
     def _keep_to(self, t: float, taken: float, step: float) -> None:
         """Keep the interpolant of the step from t that was taken to an event, where all are kept; that of the whole
         step where the shorter one has none. The trial step stays the shorter one."""
@@ -582,11 +587,6 @@ class Driver:
             raise no_dense_output(t)
         self.outputs.keep(t, t + taken, size)
         self.system.new_state[:], self.system.scalars.error_norm = new_state, error
-
-    def _write_before(self, time: float) -> None:
-        """Write the outputs of the interpolated step up to the event at `time`."""
-        if self.outputs.due(time):
-            self.outputs.write_until(time)
 
     def _slides_slowly(self) -> bool:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""

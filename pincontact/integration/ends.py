@@ -15,7 +15,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.small import dot, norm
 from ..jit import kernel
-from ..layout import BESIDE, CARRIER, CHART, DOMAIN, LENGTH, PATTERN
+from ..layout import BESIDE, CARRIER, CHART, DOMAIN, DOMAIN_EVENT, FREE, LENGTH, MODE, PATTERN
 from .accuracy import APART_AT_END, AT_ONCE_ROUND_OFF, gap_rate, rest_speed, round_off
 
 if TYPE_CHECKING:
@@ -33,6 +33,13 @@ def at_end(system: RunSystem) -> float:
 def deepest_at_end(system: RunSystem, c: int) -> float:
     """How far in m bodies may be inside each other where contact c comes into a domain, and touch there."""
     return max(float(system.gap_accuracy[c]), APART_AT_END * float(system.contact_real[c, LENGTH]))
+
+
+def stays_within(system: RunSystem, c: int, kind: int) -> bool:
+    """Whether closed contact c, whose event function of this kind was seen to reach zero, has not reached the end of a
+    contour in the projected state: what grazes an end does not come over it, whatever the errors of steps are."""
+    closed = kind == DOMAIN_EVENT and c < system.nc and system.contact_int[c, MODE] != FREE
+    return bool(closed and system.contact_real[c, DOMAIN] > at_end(system))
 
 
 def comes_in(system: RunSystem, c: int) -> bool:

@@ -58,6 +58,11 @@ class Outputs:
         if self.pieces is not None:
             self.pieces.drop()
 
+    def keep_only(self, count: int) -> None:
+        """Drop what was kept after so many pieces."""
+        for _ in range(count, len(self)):
+            self.drop()
+
     def keep_end_of_slip(self, t: float, left: float, ended: dict[int, np.ndarray]) -> None:
         """Keep the straight line, of `left` in s from the accepted state at t, to the end of these items' slip, where
         all steps are kept. ended: their directions at its start; at its end v_c has none."""
@@ -88,8 +93,9 @@ class Outputs:
             self.system.output_done()
 
     def write_until(self, until: float) -> None:
-        """Write the output times up to `until` in the step that was interpolated last."""
-        write_outputs(self.system, until, self.flush)
+        """Write the output times up to `until`, if there are any, in the step that was interpolated last."""
+        if self.due(until):
+            write_outputs(self.system, until, self.flush)
 
     def write_short_step(self, t: float, step: float) -> None:
         """Write the output times in the last trial step, from t, whatever its size in s."""

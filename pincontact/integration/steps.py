@@ -16,7 +16,7 @@ from ..layout import EVENT, OK, SYSTEM, system_at
 from .approach import bound_speeds, stay_apart
 from .crossings import find_earliest, find_zero, look, scan_on
 from .projection import TO_KEEP, TO_SHOW, TO_STEP_ON, project, project_places
-from .recording import BLOCK, output_done, record_row
+from .recording import BLOCK, announce_output, output_done, record_row
 from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
@@ -144,7 +144,7 @@ def _complete(system, task, t, step, error):
     """Outputs, projection and acceptance of the trial step from t, of this size and error norm; OK, or what Python is
     needed for."""
     scalars, counters, t_new = system.scalars, system.counters, system.scalars.next_time
-    inside = scalars.next_output < t_new
+    inside, done, recorded = scalars.next_output < t_new, counters.outputs_done, counters.recorded
     # what is not shown may be a little off, and outputs within the step need not cost the end's evaluation
     ahead = inside and task == INTEGRATE and project(system, t_new, True, TO_STEP_ON, error) == OK
     if ahead:
@@ -163,6 +163,9 @@ def _complete(system, task, t, step, error):
     else:
         shown = task not in (INTEGRATE, INTEGRATE_APART) or counters.record_steps != 0 or scalars.next_output == t_new
         if project(system, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
+            # what was written of the step goes with it
+            counters.outputs_done, counters.recorded = done, recorded
+            announce_output(system)
             return PROJECTION_FAILED
         accept(system)
         scalars.now = t_new

@@ -119,3 +119,67 @@ def test_runs_go_on_from_terminal_events(name, direction, method):
     assert status == 0
     # new runs begin with steps of other sizes
     np.testing.assert_allclose(times, zeros, rtol=0.0, atol=2e-5 if method == "Moreau" else 1e-6)
+
+
+def mass_on_a_plane(friction=None, restitution=0.0):
+    scene = pc.Scene(one_body(pin.JointModelTranslation(), pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), "mass"))
+    point, floor = scene.add_contour("point", pc.Point(), "mass"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", point, floor, friction=friction, restitution=restitution)
+    return scene
+
+
+@pytest.mark.parametrize("before", [1e-6, 3e-7, 1e-7, 1e-8, 1e-9, 1e-12, 0.0, -1e-12, -1e-9])
+@pytest.mark.parametrize("terminal", [False, True])
+def test_zeros_beside_the_end_of_a_slip(before, terminal):
+    """The last of a slip is one short step, in which zeros were not looked for: 3e-7 s before its end, and at it."""
+    scene = mass_on_a_plane(pc.Coulomb(0.4))
+    for speed in (0.4, 1.1, 1.9):
+        zero = speed / (0.4 * G) - before
+
+        def event(t, q, v, zero=zero):
+            return t - zero
+
+        event.terminal = terminal
+        run = pc.simulate(scene, scene.initial_state([0, 0, 0], [speed, 0, 0]), zero + 0.3, events=event)
+        (found,) = (one for one in run.events if one.kind == "user")
+        assert run.status == int(terminal)
+        assert [one.time for one in run.events] == sorted(one.time for one in run.events)
+        # a terminal one ends the run where that step ends
+        assert found.time == pytest.approx(zero, abs=5e-7 if terminal else 1e-9)
+        if not terminal:
+            left = max(speed - 0.4 * G * found.time, 0.0)
+            assert found.v[0] == pytest.approx(left, abs=1e-8)
+
+
+@pytest.mark.parametrize("speed", [1e-3, 1e-5, 1e-6, 1e-7, 1e-9])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Sharp98"])
+def test_runs_that_end_as_a_mass_has_all_but_stopped(speed, method):
+    scene = mass_on_a_plane(pc.Coulomb(0.4))
+
+    def slow(t, q, v):
+        return math.hypot(v[0], v[1]) - speed
+
+    slow.terminal = True
+    run = pc.simulate(scene, scene.initial_state([0, 0, 0], [1.0, 0.3, 0]), 1.0, method=method, events=slow)
+    assert run.status == 1 and run.t[-1] == pytest.approx((math.hypot(1.0, 0.3) - speed) / (0.4 * G), abs=5e-7)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("after", [0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10, 1e-9])
+@pytest.mark.parametrize("jump", [False, True])
+def test_zeros_beside_an_impact_are_found_once(after, direction, jump):
+    """The step that strikes goes on beyond the impact, which may come a little before a zero that was seen with it."""
+    scene, twice = mass_on_a_plane(restitution=0.5), 0
+    for height in (0.3, 0.7, 1.1, 1.6):
+        zero = math.sqrt(2.0 * height / G) + after
+
+        def event(t, q, v, zero=zero):
+            return t - zero
+
+        event.direction = direction
+        state = scene.initial_state([0, 0, height], [1, 0, 0], free=["c"])
+        # an impact and a breakpoint that round-off alone parts have no order
+        jumps = [zero] if jump and after > 1e-14 else []
+        run = pc.simulate(scene, state, zero + 0.05, events=event, breakpoints=jumps)
+        twice += sum(one.kind == "user" for one in run.events) != (direction >= 0.0)
+    assert twice == 0

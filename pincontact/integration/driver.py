@@ -16,7 +16,6 @@ import numpy as np
 
 from ..dynamics.redistribution import leaves_loads_open
 from ..layout import (
-    DOMAIN,
     EVENT,
     FREE,
     FRICTION_EVENT,
@@ -33,8 +32,8 @@ from .events import UserEvent, UserEvents, lost_zeros
 from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output
-from .reports import left_behind, told
-from .results import FINISHED, LASTING_REBOUNDS, OPEN_LOADS, SLIPS_LATE, STEP_LIMIT, TERMINATED, Stop
+from .reports import told
+from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .slip_at_ends import ACCURATE
 from .slip_steps import PATIENCE, STABLE, SlipSteps
@@ -92,7 +91,7 @@ class Driver:
         self.locator = EventLocator(rk, transitions.penetration.depths, transitions.open)
         self.users = UserEvents(rk, users)
         self.outputs = Outputs(rk, record, flush, options.t_eval, options.pieces)
-        self.slips = SlipSteps(rk, transitions, self.outputs, self._after)
+        self.slips = SlipSteps(rk, transitions, self.outputs, self._after_way)
         transitions.onset.emit = self.outputs.write_short_step
         self.options = options
         self.progress: Callable[[float], None] | None = None
@@ -130,24 +129,8 @@ class Driver:
         except Stop as stop:
             return stop.code, told(self.system, stop) + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        lasting = np.flatnonzero(self.system.lasting_rebounds[: self.system.nc]).tolist()
-        said += f"; {self._names(lasting)} {LASTING_REBOUNDS}; smaller tolerances follow them" if lasting else ""
-        late = sorted(self.transitions.slips_late)
-        said += f"; {self._names(late)} {SLIPS_LATE}" if late else ""
-        said += self._left_behind(t_end) + lost_zeros(self.users.functions)
+        said += self.transitions.remarks(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
-
-    def _names(self, contacts: list[int]) -> str:
-        return ", ".join(repr(self.transitions.reports.names[c]) for c in contacts)
-
-    def _left_behind(self, t: float) -> str:
-        system, nc, opened = self.system, self.system.nc, self.transitions.open
-        if opened.apart.all():
-            return ""
-        # steps in which these are not apart end in an evaluation of all
-        opened.follow(t)
-        gaps, ways = np.where(opened.apart, 0.0, system.gaps[:nc, 0]), system.contact_real[:nc, DOMAIN]
-        return left_behind(system, gaps, ways, opened, t)
 
     def _run(self, t: float, t_end: float) -> None:
         stops = [*(math.nextafter(time, -math.inf) for time in self.options.breakpoints), t_end]
@@ -448,6 +431,7 @@ class Driver:
     def _take_back(self, told: int, kept: int, step: float) -> None:
         """Try a shorter step, and take back what was told, and kept, of this one but so many events, and pieces."""
         self._shorten(step)
+        self.users.take_back(self.system.scalars.now)
         del self.transitions.reports.events[told:]
         self.outputs.keep_only(kept)
 
@@ -489,6 +473,19 @@ class Driver:
         self.outputs.write_state(t, at_their_times)
         for user in jumped:
             self._announce_user_event(t, user)
+
+    def _after_way(self, t: float, since: float, start: np.ndarray) -> None:
+        """What follows the state at t that is accepted after a way, straight but for round-off, from the state `start`
+        at `since` (s); terminal events end the run at t."""
+        self._finish(t)
+        zeros = self.users.passed(t, since, start)
+        self._watch(t, False)
+        self.outputs.write_state(t)
+        for time, user, state in zeros:
+            self.rk.load(state)
+            self._announce_user_event(time, user)
+        self.transitions.reports.events.sort(key=lambda event: event.time)
+        self.rk.load(self.system.state)
 
     def _announce_user_event(self, t: float, user: UserEvent) -> None:
         """Note a zero of a user's function in the loaded state; a terminal one raises Stop."""

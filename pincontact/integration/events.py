@@ -34,8 +34,8 @@ _ROUND_OFF = 1e-13
 @dataclass
 class UserEvent:
     """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, its last value,
-    that before what jumps next, its largest one so far, and the start in s of the first step that was too long to find
-    all its zeros."""
+    that before what jumps next, its largest one so far, the time of the last zero that was seen and its sign behind
+    that, and the start in s of the first step that was too long to find all its zeros."""
 
     index: int
     function: Callable[[float, np.ndarray, np.ndarray], Any]
@@ -44,6 +44,8 @@ class UserEvent:
     value: float = 0.0
     before: float = 0.0
     largest: float = 0.0
+    zero_at: float = -math.inf
+    sign: float = 0.0
     lost_from: float | None = None
 
     @staticmethod
@@ -90,7 +92,9 @@ class UserEvent:
             raise UnusableResult(f"t = {t:.9g} s: events[{self.index}] returned nan")
         if math.isfinite(number):
             self.largest = max(self.largest, abs(number))
-        return number if abs(number) > self.round_off else 0.0
+        # what happens with a zero may happen a little before it: that is no other zero
+        seen = t <= self.zero_at and number * self.sign < 0.0
+        return 0.0 if seen or abs(number) <= self.round_off else number
 
     @property
     def round_off(self) -> float:
@@ -161,12 +165,28 @@ class UserEvents:
         for event in self.functions:
             event.value = event.before = event.value_at(t, self.rk.system)
 
+    def take_back(self, t: float) -> None:
+        """Forget zeros after the accepted state at t, of a step that is taken back."""
+        for event in self.functions:
+            if event.zero_at > t:
+                event.zero_at = -math.inf
+
     def jumped(self, t: float) -> list[UserEvent]:
         """Take the system's state at t as `update` does; those functions that have gone through zero by the jump of
         the state, or of what they are of, that led there."""
         before = [event.before for event in self.functions]
         self.update(t)
         return [event for event, value in zip(self.functions, before) if event.crosses(value, event.value)]
+
+    def passed(self, t: float, since: float, start: np.ndarray) -> list[tuple[float, UserEvent, np.ndarray]]:
+        """Take the accepted state at t as `update` does; times, functions and states of their zeros on a straight way
+        there from the state `start` at `since` (s), in order: of terminal ones the end."""
+        end, before, zeros = self.rk.system.state.copy(), [event.before for event in self.functions], []
+        for event in self.jumped(t):
+            value = before[event.index]
+            part = 1.0 if event.terminal else value / (value - event.value)
+            zeros.append((since + part * (t - since), event, start + part * (end - start)))
+        return sorted(zeros, key=lambda zero: zero[0])
 
     def may_cross(self, t: float, step: float) -> bool:
         """Whether any function may go through zero in the trial step, whose end is loaded.
@@ -195,13 +215,14 @@ class UserEvents:
                 if low >= until:
                     break
                 if not goes_through(before, after):
-                    event.before = after or event.before
+                    event.before = (after if high <= until else value(until)) or event.before
                     continue
                 # what is too fast to be seen is not looked for more closely
                 zero = crossing_between(value, low, high, ACCURACY) if resolved else high
                 if zero > until + _WITH:
                     event.before = before
                     break
+                event.zero_at, event.sign = t + zero * step, math.copysign(1.0, after - before)
                 # what comes to zero with what happens there has no sign before that
                 event.before = after if zero < until - _WITH else 0.0
                 if event.crosses(before, after):

@@ -75,6 +75,10 @@ class Reports:
         self._chatter = (_CHATTER_EVENTS, _CHATTER_SPAN * span), (dense, long)
         self._rebounds: list[tuple[float, int]] = []
 
+    def listed(self, contacts: list[int]) -> str:
+        """The names of contacts, as messages have them."""
+        return ", ".join(repr(self.names[c]) for c in contacts)
+
     # ---------------------------------------------------------------- events
 
     def announce(self, t: float, item: int | None, kind: str, index: int = -1) -> Event:

@@ -31,11 +31,15 @@ _WORTH, _HALVINGS = 8.0, 20
 class SlipSteps:
     """Makes such steps from the accepted state of a run.
 
-    accepted(t): called for every state that is accepted.
+    accepted(t, since, start): called for every state that is accepted, after the one at `since` in s, `start`.
     """
 
     def __init__(
-        self, rk: RungeKutta, transitions: Transitions, outputs: Outputs, accepted: Callable[[float], None]
+        self,
+        rk: RungeKutta,
+        transitions: Transitions,
+        outputs: Outputs,
+        accepted: Callable[[float, float, np.ndarray], None],
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
         self.outputs, self._accepted = outputs, accepted
@@ -53,6 +57,7 @@ class SlipSteps:
         while tried:
             shortest = _SLOW_STEPS * STABLE / max(scalars.turning_rate, 1e-300)
             span = min(span, longest, end - t)
+            start = self.system.state.copy()
             after = onset.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:
@@ -66,8 +71,8 @@ class SlipSteps:
                 # a length that was too much is not asked for again soon
                 rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
+                self._accepted(after, t, start)
                 t = after
-                self._accepted(t)
                 limited = t >= end or counters.step_count >= counters.trial_limit
                 tried = not (limited or slip_is_ending(self.system) or onset.pending)
         counters.stiff_steps = 0
@@ -104,13 +109,14 @@ class SlipSteps:
         if worth > _WORTH:
             system.counters.stalled = -min(math.ceil(math.log2(worth)), _HALVINGS)
             return t, False
+        start = system.state.copy()
         self.outputs.keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(stopped)
         allow_start(t + left, scalars.step)
         after = self.transitions.come_to_rest(t + left, ended)
-        self._accepted(after)
+        self._accepted(after, t, start)
         return after, True
 
     def _worth(self, t: float, left: float, contacts: list[int], stopped: np.ndarray) -> float:

@@ -45,8 +45,8 @@ from .mode_changes import ModeChanges
 from .nearness import places_of
 from .open_contacts import OpenContacts
 from .penetration import Penetration
-from .reports import Reports
-from .results import END_OF_CONTOUR, OVERLAPS_AT_END, Stop
+from .reports import Reports, left_behind
+from .results import END_OF_CONTOUR, LASTING_REBOUNDS, OVERLAPS_AT_END, SLIPS_LATE, Stop
 from .runge_kutta import RungeKutta
 from .slip_onset import SlipOnset
 
@@ -118,6 +118,20 @@ class Transitions:
             if not self.penetration.begin(t, self.onset.seed):
                 raise self.reports.failure(t, NO_FORCE)
             self.open.begin(self.penetration.slack)
+
+    def remarks(self, t: float) -> str:
+        """What is to be said at t, the end of a run, of contacts that rebound all the time, slip late, or are inside
+        each other."""
+        system, nc, said, listed = self.system, self.system.nc, "", self.reports.listed
+        lasting, late = np.flatnonzero(system.lasting_rebounds[:nc]).tolist(), sorted(self.slips_late)
+        said += f"; {listed(lasting)} {LASTING_REBOUNDS}; smaller tolerances follow them" if lasting else ""
+        said += f"; {listed(late)} {SLIPS_LATE}" if late else ""
+        if self.open.apart.all():
+            return said
+        # steps in which these are not apart end in an evaluation of all
+        self.open.follow(t)
+        gaps, ways = np.where(self.open.apart, 0.0, system.gaps[:nc, 0]), system.contact_real[:nc, DOMAIN]
+        return said + left_behind(system, gaps, ways, self.open, t)
 
     def _open_ahead(self, t: float) -> None:
         """Open the contacts of the accepted state that open as soon as it has moved."""

@@ -131,6 +131,8 @@ class Zero(NamedTuple):
         """The fraction, from theta up to the last one, of a step that has the zero behind it, so that a run that goes
         on from there does not find it again; value: the function after such a part of the step, which is tried so."""
         theta, further = self.theta, 0.0
+        # the step ends here: zeros further on are none
+        self.event.zero_at = -math.inf
         for _ in range(_LOOKS_BEHIND):
             there = value(theta)
             if there * self.slope > 0.0 or theta >= last:

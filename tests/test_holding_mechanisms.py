@@ -207,3 +207,29 @@ def test_what_is_held_comes_to_rest_for_good(seed):
     run = pc.simulate(scene, state, 1.3e-4, method="Moreau", dt=1e-6)
     assert run.status == 0, run.message
     assert not run.v[-1].any()
+
+
+@pytest.mark.parametrize("law", [pc.NoSlip(), pc.Coulomb(1e4)], ids=["ideal", "rough"])
+def test_what_rails_let_friction_press_is_held(law):
+    """A mass on rails in a plane is drawn up and along, from another plane that leans out of that: forces across the
+    rails, which move nothing, press it on. With loads of nothing beside friction none of these were found."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        lean, along, up = rng.uniform(0.05, 1.0), rng.uniform(-5.0, 5.0), rng.uniform(0.0, 25.0)
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
+        joint = model.addJoint(joint, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        place = pin.SE3(pin.utils.rotate("x", lean), np.zeros(3))
+        plane = scene.add_contour("plane", pc.Plane(), placement=place)
+        scene.add_contact("c", scene.add_contour("point", pc.Point(), "mass"), plane, friction=law)
+
+        def control(t, q, v, along=along, up=up):
+            return t * np.array([along, up])
+
+        run = pc.simulate(scene, scene.initial_state([0.0, 0.0]), 1.0, control=control)
+        assert run.status == 0 and not run.events, (seed, run.message)
+        assert np.abs(run.q).max() < 1e-12
+        assert run.contacts["c"].normal_force.min() >= 0.0

@@ -25,6 +25,8 @@ TO_BOUNDARY = 0.95
 _SHORTEST = 1e-15
 # By how much the pressure grows that lowers the enlargement.
 _SHARPENING = 8.0
+# Least size of cones enlarged at first, in units of the forces.
+_OFF_TIPS = 1e-3
 # Size of the forces of interest, relative to those of least norm.
 _LARGEST = 1e3
 # Directions that others combine to but for this part are no directions of their own.
@@ -142,8 +144,9 @@ def enter(rows, start, point, k, hessian, scratch):
         size += abs(value)
     if lowest > INSIDE:
         return True
-    # as far outside as the others are inside: the steps to come are of that size
-    point[k] = max(size / count, 10.0 * INSIDE) - lowest
+    # as far outside as the others are inside: the steps to come are of that size; not so near to the tips of all cones
+    # that the square is round-off beside the barriers
+    point[k] = max(size / count, _OFF_TIPS) - lowest
     pressure = 2.0 * count / point[k]
     while True:
         minimise(rows, start, point, k, pressure, hessian, scratch)

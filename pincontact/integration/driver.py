@@ -484,8 +484,10 @@ class Driver:
         for time, user, state in zeros:
             self.rk.load(state)
             self._announce_user_event(time, user)
-        self.transitions.reports.events.sort(key=lambda event: event.time)
-        self.rk.load(self.system.state)
+        if zeros:
+            # the slip's own event has been told
+            self.transitions.reports.events.sort(key=lambda event: event.time)
+            self.rk.load(self.system.state)
 
     def _announce_user_event(self, t: float, user: UserEvent) -> None:
         """Note a zero of a user's function in the loaded state; a terminal one raises Stop."""

@@ -45,8 +45,12 @@ class Decision:
 def held_up_by_friction(system: System, c: int) -> bool:
     """Whether contact c slides with F_n = 0 and a tangential force against its slip: ideal rolling, or what a part of
     its viscous friction keeps from closing."""
-    ideal = system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU])
-    return bool(ideal) or shares_viscous_force(system, c)
+    return ideal_slip(system, c) or shares_viscous_force(system, c)
+
+
+def ideal_slip(system: System, c: int) -> bool:
+    """Whether contact c is ideal rolling that slides, held up by friction alone."""
+    return bool(system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU]))
 
 
 def shares_viscous_force(system: System, c: int) -> bool:

@@ -18,6 +18,7 @@ from ..layout import (
     EVENTS_PER_CONTACT,
     FREE,
     FRICTION_EVENT,
+    FRICTIONLESS,
     FROZEN,
     GAP_EVENT,
     HIGH_END,
@@ -47,13 +48,19 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from ..linalg import inner
+from ..linalg import inner, whiten
 from .resistance import resists, size_of_load
 from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
 
 # Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
 # what a unit of normal force does.
 JAM_LIMIT = 1e-6
+
+# Ideal rolling is the limit of ever larger coefficients of friction. This one stands for it where a load is so small a
+# part of the tangential force that it is none.
+IDEAL_FRICTION = 1e10
+# What has lost its load has one again where it is so many times as large, so that it does not go to and fro.
+_LOADED = 10.0
 
 # What presses a joint onto its end has no sign below this part of what would move that joint alone as much as all that
 # acts moves the bodies.
@@ -139,7 +146,12 @@ def contact_event_functions(system):
                 value[NORMAL_EVENT] = force[c, 2]
                 if integers[MODE] == STICK and numbers[MU_STATIC] == math.inf:
                     # the limit of friction, too
-                    value[NORMAL_EVENT] += numbers[LIMIT_SLACK] * system.scalars.largest_force
+                    slack = numbers[LIMIT_SLACK] * system.scalars.largest_force
+                    value[NORMAL_EVENT] += slack - math.hypot(force[c, 0], force[c, 1]) / IDEAL_FRICTION
+                elif integers[MODE] == FRICTIONLESS and numbers[MU_STATIC] == math.inf:
+                    # what comes under a load slides no more
+                    least = _least_load(system, c)
+                    value[NORMAL_EVENT], value[FRICTION_EVENT] = force[c, 2] + least, least - force[c, 2]
             elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
                 value[NORMAL_EVENT] = integers[NORMAL_SIGN] * force[c, 2]
             friction_event_functions(system, c, size_of_load(system.contact_int, force, c))
@@ -148,6 +160,14 @@ def contact_event_functions(system):
                     force[c, row] += viscous_force(numbers, system.basis[c, row], system.slip[c])
         status = max(status, status_of(value))
     return status
+
+
+@kernel
+def _least_load(system, c):
+    """The largest load in N of contact c that counts as none beside what else acts on its bodies."""
+    whiten(system.factor, system.parents, system.sizes.nv, system.rows[c, 2], system.work)
+    size = math.sqrt(inner(system.work, system.work, system.sizes.nv))
+    return _LOADED * system.scalars.free_size / (IDEAL_FRICTION * size) if size > 0.0 else 0.0
 
 
 @kernel

@@ -32,6 +32,7 @@ from ..layout import (
 from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK
 from .equations import PAINLEVE_LIMIT
+from .event_functions import IDEAL_FRICTION
 from .units import REDUNDANT, ContactProblem, relative_velocity, unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
@@ -185,12 +186,29 @@ class _Problem(ContactProblem):
             modes = self._hold(b, mu, self._search(solver, b, mu))
             if modes is None:
                 return None
+            mu, modes = self._let_unpressed_go(solver, b, mu, modes)
             slips = (modes == SLIP) & (mu > self.sliding)
             if not slips.any():
                 self._choose(b, mu, modes)
                 break
             mu[slips] = self.sliding[slips]
         return self.start + self.reduced @ self.forces
+
+    def _let_unpressed_go(
+        self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray, modes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients and modes (n,) without the friction of ideal rolling that has a tangential impulse in these, but
+        no load, neither with its friction nor without."""
+        found, tangential = self.forces, np.linalg.norm(self.forces.reshape(-1, 3)[:, :2], axis=1)
+        unpressed = np.isinf(mu) & (self.normal > 0.0) & (self.forces[2::3] * IDEAL_FRICTION < tangential)
+        while unpressed.any():
+            without = np.where(unpressed, 0.0, mu)
+            others = self._hold(b, without, self._search(solver, b, without))
+            still = unpressed & (self.forces[2::3] * IDEAL_FRICTION <= tangential)
+            if others is not None and (still == unpressed).all():
+                return without, others
+            unpressed, self.forces = still & (others is not None), found
+        return mu, modes
 
     def _search(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
         """Modes (n,) of a solution, whose impulses are `forces` then, or None."""

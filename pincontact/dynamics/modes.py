@@ -26,6 +26,7 @@ from ..layout import (
     EVENT,
     FREE,
     FRICTION_EVENT,
+    FRICTIONLESS,
     FROZEN,
     JOINT_END,
     MODE,
@@ -41,8 +42,17 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_normal, shares_viscous_force
+from .contact_modes import (
+    Decision,
+    drags,
+    held_up_by_friction,
+    ideal_slip,
+    rest_mode,
+    set_normal,
+    shares_viscous_force,
+)
 from .directions import align_slips, freeze_slip
+from .event_functions import IDEAL_FRICTION
 from .mode_loads import AT_REST, LoadedCones
 from .passing_slip import PassingSlip
 from .redistribution import AT_ZERO
@@ -95,6 +105,53 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         status: that of the last evaluation, if it was one at the state with all undecided ones sticking. ahead: see
         `_pose`.
         """
+        system = self.system
+        given = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
+        decision = self._decide(t, undecided, evaluate, beyond, status, ahead)
+        unloaded = self._rolling_unloaded() if decision.status <= EVENT else []
+        while unloaded:
+            # its tangential force, which no finite friction has without a load, is none where it takes no load then
+            found = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
+            forces = self.reference()
+            self._put(*given)
+            system.contact_int[unloaded, MODE] = FRICTIONLESS
+            left = [c for c in undecided if c not in unloaded]
+            other = self._decide(t, left, evaluate, None if beyond in unloaded else beyond, None, ahead)
+            pressed = self.pressed(unloaded) if other.status <= EVENT else unloaded
+            if not pressed:
+                return other
+            self._put(*found)
+            self.take_back(forces)
+            evaluate(t)
+            unloaded = [c for c in unloaded if c not in pressed]
+        return decision
+
+    def _put(self, integers: np.ndarray, limits: np.ndarray, numbers: np.ndarray) -> None:
+        """Give all items these modes."""
+        self.system.contact_int[:], self.system.joint_int[:], self.system.contact_real[:] = integers, limits, numbers
+
+    def _rolling_unloaded(self) -> list[int]:
+        """Ideal rolling that has a tangential force and next to no load in the last evaluation."""
+        system = self.system
+        found = []
+        for c in system.closed():
+            sticks = system.contact_int[c, MODE] == STICK and system.contact_int[c, UNILATERAL]
+            if sticks and math.isinf(system.contact_real[c, MU_STATIC]):
+                tangential, load = float(np.hypot(*system.force[c, :2])), abs(float(system.force[c, 2]))
+                if load * IDEAL_FRICTION < tangential and tangential > self.force_round_off():
+                    found.append(c)
+        return found
+
+    def _decide(
+        self,
+        t: float,
+        undecided: list[int],
+        evaluate: Callable[[float], int],
+        beyond: int | None = None,
+        status: int | None = None,
+        ahead: Mapping[int, float] = AT_REST,
+    ) -> Decision:
+        """`resolve_modes`, but that ideal rolling may have a force without a load."""
         system = self.system
         integers = system.contact_int
         self.proved = False
@@ -302,7 +359,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
                 if velocities[c, 2] > still:
                     integers[c, MODE], integers[c, NORMAL_SIGN] = FREE, 1
                     decision.opened.append(c)
-                elif integers[c, MODE] == SLIPPING and not held_up_by_friction(system, c):
+                elif ideal_slip(system, c):
+                    # there is nothing that friction would have to hold up
+                    integers[c, MODE] = FRICTIONLESS
+                elif integers[c, MODE] == SLIPPING and not shares_viscous_force(system, c):
                     integers[c, NORMAL_SIGN] = 0
             elif not integers[c, UNILATERAL]:
                 set_normal(system, c, solution.forces[c], self.force_round_off())

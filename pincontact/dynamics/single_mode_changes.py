@@ -120,6 +120,12 @@ class SingleModeChanges(RedundantForces):
         force = math.hypot(system.force[c, 0], system.force[c, 1])
         return bool(system.event_functions[c, FRICTION_EVENT] < -_AT_ALL * force)
 
+    def pressed(self, contacts: list[int]) -> list[int]:
+        """Which of these contacts, of ideal rolling that is frictionless without a load, have one in the last
+        evaluation."""
+        modes, functions = self.system.contact_int[:, MODE], self.system.event_functions
+        return [c for c in contacts if modes[c] == FRICTIONLESS and functions[c, FRICTION_EVENT] < 0.0]
+
     def gap_acceleration(self, t: float, c: int) -> float:
         """Second derivative in m/s^2 of the gap of an open contact in the last evaluation; NaN if it has no rows."""
         system = self.system

@@ -96,7 +96,7 @@ UNIT = np.dtype(
         *((name, INTEGERS) for name in ("tied", "struck")),
         *((name, INTEGERS) for name in ("axis", "parent")),
         *((name, REALS) for name in ("impulse_time", "approach", "free_rate", "shift")),
-        *((name, REALS) for name in ("load", "sliding", "sticking_again")),
+        *((name, REALS) for name in ("load", "sliding", "sticking_again", "unpressed")),
     ]
 )
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)

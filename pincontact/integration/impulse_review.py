@@ -6,13 +6,14 @@ import math
 
 from ..callback import separate_kernel
 from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
+from ..dynamics.event_functions import IDEAL_FRICTION
 from ..friction import cone
 from ..jit import INTEGER, STEPPING, kernel
 from ..layout import NO_FORCE, SYSTEM
 from ..linalg import inner
 from ..workspace import square
 from .impulse_equations import normal_load
-from .impulse_layout import APART, ON_LOADED, ON_TURN, STEP, TOGETHER
+from .impulse_layout import APART, ON_CONTACT, ON_LOADED, ON_TURN, STEP, TOGETHER
 from .impulse_works import impulse_work, velocity_change
 
 # What `review` and `impulses.advance` return: the step is done, or the cone problem was changed and must be solved
@@ -86,6 +87,25 @@ def _has_jammed(system, step):
 
 
 @kernel
+def _let_unpressed_go(step, u):
+    """Take its friction from unit u, ideal rolling that has a tangential impulse without a load, or give it back what
+    carries a load without; whether any was."""
+    unit, friction, forces = step.units[u], step.friction, step.cone_forces[3 * u : 3 * u + 3]
+    if unit.unpressed > 0.0 and friction[u] == 0.0:
+        if not forces[2] * IDEAL_FRICTION > unit.unpressed:
+            return False
+        # friction was what lifted it
+        friction[u], unit.unpressed = math.inf, -1.0
+        return True
+    tangential = math.hypot(forces[0], forces[1])
+    rolls = unit.kind == ON_CONTACT and friction[u] == math.inf and unit.unpressed == 0.0
+    if not (rolls and forces[2] * IDEAL_FRICTION < tangential):
+        return False
+    friction[u], unit.unpressed = 0.0, tangential
+    return True
+
+
+@kernel
 def _update_load(step, u, delassus):
     """Let the problem take as given the normal impulse that its solution has for unit u; by which part of their sum
     that differs from what it took, zero for round-off."""
@@ -110,7 +130,7 @@ def review(system, step):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
-    holds it without a jam; and restitution is lowered where, together with friction, it would create energy. Before all
+    holds it without a jam; ideal rolling that nothing presses has no friction; and restitution is lowered where, together with friction, it would create energy. Before all
     this, loads that the problem takes as given are a fixed point, which is iterated a few times, then found together
     with the forces (see `friction.loads`): the last step's may let go what this one's hold.
     """
@@ -139,6 +159,8 @@ def review(system, step):
         if units[u].midpoint != 0:
             stops = stops or modes[u] == cone.STICK or _slips_back(step, u)
     again, jams, tried = stops, _has_jammed(system, step), False
+    for u in range(n):
+        again = _let_unpressed_go(step, u) or again
     for u in range(n):
         unit = units[u]
         if unit.sticking_again > 0.0 and modes[u] == cone.SLIP and may_rest(step, u):

@@ -105,7 +105,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     unit = step.units[u]
     unit.kind, unit.index, unit.mask = kind, index, mask
     unit.touches = unit.midpoint = unit.at_rest = unit.slid = unit.held = unit.tied = unit.struck = 0
-    unit.approach = unit.free_rate = unit.shift = unit.load = unit.sticking_again = 0.0
+    unit.approach = unit.free_rate = unit.shift = unit.load = unit.sticking_again = unit.unpressed = 0.0
     unit.axis, unit.parent = 0, -1
     unit.impulse_time = 0.5 * step.numbers.h
     if instant >= 0.0:

@@ -167,6 +167,8 @@ def _contact_mode(system, step, u, c):
         sticks = not slides if cone_mode == cone.OPEN else cone_mode == cone.STICK
         return STICK if sticks else SLIPPING
     slides = slides and mu != 0.0
+    if unit.unpressed > 0.0 and slides:
+        slides, rest = False, FRICTIONLESS
     if cone_mode == cone.OPEN:
         # without force, though perhaps not apart: among redundant contacts others may carry the load
         gap = step.start_gap[c] if unit.touches != 0 else 0.0

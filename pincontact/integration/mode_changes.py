@@ -19,6 +19,7 @@ from ..layout import (
     EVENT,
     FREE,
     FRICTION_EVENT,
+    FRICTIONLESS,
     FROZEN,
     LOCATION_FAILED,
     MODE,
@@ -87,6 +88,9 @@ class ModeChanges:
         undecided, slowest = [], -1.0
         for c in [*system.closed(), *system.resisting()]:
             integers, mu = system.contact_int[c], numbers.item(c, MU)
+            if math.isinf(mu) and integers.item(MODE) == FRICTIONLESS:
+                # until it comes under a load
+                continue
             slid = after_impact or integers.item(MODE) == SLIPPING
             integers[FROZEN] = 0
             integers[MODE] = rest_mode(mu)
@@ -170,6 +174,8 @@ class ModeChanges:
                 continue
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.reports.announce_friction(t, c, True)
+            elif mode == FRICTIONLESS and before[c] == STICK:
+                self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
 
     def _joints_at_rest(self) -> list[int]:
@@ -242,11 +248,16 @@ class ModeChanges:
 
     def stop_jammed(self, t: float) -> None:
         """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
-        sliding = held_up(self.system)
+        system, sliding = self.system, held_up(self.system)
         if sliding and self.rk.evaluate(t) <= EVENT:
-            sliding = [c for c in sliding if self.system.event_functions[c, FRICTION_EVENT] < 0.0]
-        if sliding:
-            self.stop_slips(t, sliding)
+            sliding = [c for c in sliding if system.event_functions[c, FRICTION_EVENT] < 0.0]
+        if not sliding:
+            return
+        # what takes no load goes on, without friction
+        system.contact_int[sliding, MODE] = FRICTIONLESS
+        jammed = self.modes.pressed(sliding) if self.rk.evaluate(t) <= EVENT else sliding
+        if jammed:
+            self.stop_slips(t, jammed)
 
     def stop_slips(self, t: float, contacts: list[int]) -> None:
         """End slips at once, by the least change of velocity that does it."""

@@ -20,6 +20,7 @@ from ..layout import (
     DOMAIN_EVENT,
     FREE,
     FRICTION_EVENT,
+    FRICTIONLESS,
     LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
@@ -228,7 +229,7 @@ class Transitions:
             self.modes.load(c)
             self.changes.accept_with_other_forces(t)
             return t
-        if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
+        if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] in (SLIPPING, FRICTIONLESS):
             self.changes.end_jams(t, [c])
             return self.onset.start(t)
         unloaded = self.changes.unloaded()

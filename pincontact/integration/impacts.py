@@ -68,6 +68,13 @@ class Impacts:
         system, penetration, modes = self.system, self.penetration, self.system.contact_int[:, MODE]
         # whatever touches at the same instant, by symmetry, takes part; what dips does not, whatever its depth
         due = [c, *(i for i in self._due() if i != c)]
+        grazing = [i for i in due if self._grazes(i)]
+        for i in grazing:
+            penetration.tolerate(i, penetration.resolution(i))
+        due = [i for i in due if i not in grazing]
+        if not due:
+            self.changes.accept_with_other_forces(t)
+            return t
         waiting = [i for i in due if waits(system, i, due)]
         touching = [i for i in due if i not in waiting]
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
@@ -143,6 +150,15 @@ class Impacts:
             return self.penetration.touches(c)
         gap = abs(float(system.gaps[c, 0])) - self.penetration.resolution(c)
         return gap * self.changes.slip_speed(c) <= accuracy * max(-gap_rate(system, c), 0.0)
+
+    def _grazes(self, c: int) -> bool:
+        """Whether open contact c, of ideal rolling, would leave without a touch from no deeper than gaps are known: a
+        touch, however gentle, ends all its slip."""
+        system = self.system
+        if math.isfinite(system.contact_real[c, MU]):
+            return False
+        speed, rise = gap_rate(system, c), float(system.rows[c, 2] @ system.acceleration + system.bias[c, 2])
+        return rise > 0.0 and speed * speed <= 2.0 * rise * self.penetration.resolution(c)
 
     def _announce_others(self, t: float, touching: list[int]) -> None:
         """Announce slips, and turning, that the last impact has begun, ended or turned round; not of what touched."""

@@ -167,7 +167,8 @@ def _contact_mode(system, step, u, c):
         sticks = not slides if cone_mode == cone.OPEN else cone_mode == cone.STICK
         return STICK if sticks else SLIPPING
     slides = slides and mu != 0.0
-    if unit.unpressed > 0.0 and slides:
+    if slides and mu == math.inf and step.cone_forces[3 * u] == 0.0 and step.cone_forces[3 * u + 1] == 0.0:
+        # nothing presses it, and there is nothing that friction would have to hold up
         slides, rest = False, FRICTIONLESS
     if cone_mode == cone.OPEN:
         # without force, though perhaps not apart: among redundant contacts others may carry the load

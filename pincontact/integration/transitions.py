@@ -313,8 +313,13 @@ class Transitions:
         integers = self.system.contact_int[c]
         if not integers[UNILATERAL]:
             return self._turn_normal(t, c)
-        if self._closes_again(t, c):
-            return self._reach_limit(t, c)
+        if self._rolls_ideally(c):
+            t = self.onset.resolve(t, self.changes.sticking())
+            if not self._rolls_ideally(c):
+                # its tangential force ends with its load
+                return t
+            if self._closes_again(t, c):
+                return self._reach_limit(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
         if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)
@@ -343,10 +348,11 @@ class Transitions:
             modes[c] = FREE
         return self.onset.resolve(t, self.changes.sticking())
 
+    def _rolls_ideally(self, c: int) -> bool:
+        return bool(self.system.contact_int[c, MODE] == STICK and math.isinf(self.system.contact_real[c, MU]))
+
     def _closes_again(self, t: float, c: int) -> bool:
-        """Whether contact c is ideal rolling that would close if it were let go; see `penetration`."""
-        if self.system.contact_int[c, MODE] != STICK or self.system.contact_real[c, MU] < math.inf:
-            return False
+        """Whether contact c, ideal rolling, would close if it were let go; see `penetration`."""
         self.rk.accept()
         closes = self.penetration.closes_again(t, c, min(self.onset.seed, self.onset.longest))
         self.changes.evaluate_accepted(t)

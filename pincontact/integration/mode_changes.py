@@ -296,9 +296,9 @@ class ModeChanges:
         self.rk.accept()
         return True
 
-    def unloaded(self) -> list[int]:
-        """Contacts that open together: they carry next to nothing, and no force at all is needed to keep their bodies
-        as near as they are.
+    def unloaded(self, t: float) -> list[int]:
+        """Contacts that open together: they carry next to nothing, and none of their forces is needed to keep their
+        bodies as near as they are.
 
         As redundant loads shrink to nothing, each choice among them is soon over, however often it is made anew; and
         where some open before the others, what these carry is round-off.
@@ -311,10 +311,16 @@ class ModeChanges:
         closed = [c for c in idle if system.contact_int[c, UNILATERAL]]
         if not closed:
             return []
-        rows, bias = system.rows[closed, 2], system.bias[closed, 2]
-        rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
-        parted = (rates >= -least * (sizes + np.abs(bias))) & ~self._kept(closed, idle)
-        return [c for c, parts in zip(closed, parted.tolist()) if parts]
+        kept, modes = self._kept(closed, idle), system.contact_int[closed, MODE].copy()
+        rows, bias = system.rows[closed, 2].copy(), system.bias[closed, 2].copy()
+        system.contact_int[closed, MODE] = FREE
+        # what others do without them
+        known = self.rk.evaluate(t) <= EVENT
+        rates = rows @ system.acceleration + bias
+        sizes = np.abs(rows) @ np.abs(system.free_acceleration) + np.abs(bias)
+        system.contact_int[closed, MODE] = modes
+        self.rk.evaluate(t)
+        return [c for c, parts in zip(closed, ((rates >= -least * sizes) & ~kept).tolist()) if parts and known]
 
     def _kept(self, contacts: list[int], idle: list[int]) -> np.ndarray:
         """(n,) which of these contacts stay closed without a force, as the others, but for idle ones, keep them so: of

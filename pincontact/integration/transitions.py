@@ -232,7 +232,7 @@ class Transitions:
         if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] in (SLIPPING, FRICTIONLESS):
             self.changes.end_jams(t, [c])
             return self.onset.start(t)
-        unloaded = self.changes.unloaded()
+        unloaded = self.changes.unloaded(t)
         if self.system.owner(c) in unloaded:
             return self._open(t, unloaded)
         if not (chosen or self._is_again(t, c)) and self.changes.redistribute(t, c, kind):

@@ -54,6 +54,47 @@ class Wheel:
         return (v + self.k * self.radius * omega) / (1.0 + self.k)
 
 
+def axle(rng, count):
+    """A free body on balls on one axis, y, that rolls on the wall: scene, mass, radius and k."""
+    mass, radius, k = rng.uniform(0.3, 3.0), rng.uniform(0.05, 0.5), rng.uniform(0.3, 1.0)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
+    turning = mass * radius**2 * np.diag([rng.uniform(1.0, 2.0), k, rng.uniform(1.0, 2.0)])
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), turning), pin.SE3.Identity())
+    model.addBodyFrame("axle", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    wall = scene.add_contour("wall", pc.Plane(), placement=pin.SE3(pin.utils.rotate("y", -np.pi / 2), np.zeros(3)))
+    for i, y in enumerate(rng.uniform(0.1, 0.5) * np.linspace(-1.0, 1.0, count)):
+        ball = scene.add_contour(f"ball {i}", pc.Sphere(radius), "axle", pin.SE3(np.eye(3), np.array([0.0, y, 0.0])))
+        scene.add_contact(f"ball {i}", ball, wall, friction=NoSlip())
+    return scene, mass, radius, k
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "RK45"}, {"method": "Moreau", "dt": 2e-4}], ids=str)
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_redundant_wheels_roll_while_they_are_pressed(ramp, count, options):
+    """By a force in world axes, that ends; then nothing holds the body."""
+    rng = np.random.default_rng(34)
+    for _ in range(3):
+        scene, _mass, radius, k = axle(rng, count)
+        v, size = rng.uniform(-2.0, 2.0), rng.uniform(1.0, 100.0)
+        ends, t = np.cumsum(rng.uniform(0.05, 0.2, 2)).round(3)
+
+        def push(time, q, v, size=size, ends=ends):
+            force = size * (max(ends - time, 0.0) if ramp else float(time < ends))
+            return np.r_[pin.Quaternion(q[3:]).toRotationMatrix().T @ [force, 0.0, 0.0], np.zeros(3)]
+
+        state = scene.initial_state([-radius, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, v, 0.0, v / radius, 0.0])
+        run = pc.simulate(scene, state, t, control=push, breakpoints=[ends], **options)
+        assert run.status == 0, run.message
+        z, v = v * ends - 0.5 * G / (1.0 + k) * ends**2, v - G / (1.0 + k) * ends
+        z, _ = falls(z, v, t - ends)
+        accuracy = 20.0 * options["dt"] if "dt" in options else 1e-5
+        np.testing.assert_allclose(run.q[-1, :3], [-radius, 0.0, z], atol=accuracy)
+        np.testing.assert_allclose(run.v[-1, 4] * radius, v, atol=5.0 * accuracy)
+
+
 def falls(z, v, t):
     return z + v * t - 0.5 * G * t**2, v - G * t
 

@@ -121,6 +121,15 @@ def joint_event_functions(system):
 
 
 @kernel
+def has_sided_load(integers, numbers):
+    """Whether something goes with the size of the load of a bilateral contact, which vanishes as it changes sides."""
+    if integers[UNILATERAL] != 0 or integers[PATTERN] == ON_CURVE:
+        return False
+    sticks = integers[MODE] == STICK and numbers[MU_STATIC] < math.inf
+    return sticks or integers[MODE] == SLIPPING or resists(integers)
+
+
+@kernel
 def contact_event_functions(system):
     """Event functions of contacts: gap of open ones, and the end of a domain that they may come over while it is
     negative; end of the domain, load and friction of the others.
@@ -152,7 +161,7 @@ def contact_event_functions(system):
                     # what comes under a load slides no more
                     least = _least_load(system, c)
                     value[NORMAL_EVENT], value[FRICTION_EVENT] = force[c, 2] + least, least - force[c, 2]
-            elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
+            elif has_sided_load(integers, numbers):
                 value[NORMAL_EVENT] = integers[NORMAL_SIGN] * force[c, 2]
             friction_event_functions(system, c, size_of_load(system.contact_int, force, c))
             if resists_viscously(integers, numbers):

@@ -106,25 +106,43 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         `_pose`.
         """
         system = self.system
-        given = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
         decision = self._decide(t, undecided, evaluate, beyond, status, ahead)
-        unloaded = self._rolling_unloaded() if decision.status <= EVENT else []
-        while unloaded:
-            # its tangential force, which no finite friction has without a load, is none where it takes no load then
-            found = system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
-            forces = self.reference()
-            self._put(*given)
-            system.contact_int[unloaded, MODE] = FRICTIONLESS
-            left = [c for c in undecided if c not in unloaded]
-            other = self._decide(t, left, evaluate, None if beyond in unloaded else beyond, None, ahead)
-            pressed = self.pressed(unloaded) if other.status <= EVENT else unloaded
-            if not pressed:
+        if decision.status > EVENT:
+            return decision
+        found, forces = self._modes(), self.reference()
+        lost = self.lose_friction(t, evaluate)
+        if lost:
+            left = [c for c in undecided if c not in lost and system.contact_int[c, MODE] == STICK]
+            other = self._decide(t, left, evaluate, None if beyond in lost else beyond, None, ahead)
+            if other.status <= EVENT and not self.pressed(lost):
+                other.started = decision.started | other.started
                 return other
             self._put(*found)
             self.take_back(forces)
             evaluate(t)
-            unloaded = [c for c in unloaded if c not in pressed]
         return decision
+
+    def lose_friction(self, t: float, evaluate: Callable[[float], int]) -> list[int]:
+        """Let ideal rolling that has a tangential force, but no load in the last evaluation go on without friction,
+        which no finite coefficient has there: where it then begins to slip, and takes no load, either."""
+        unloaded, given = self._rolling_unloaded(), self._modes()
+        while unloaded:
+            self.system.contact_int[unloaded, MODE] = FRICTIONLESS
+            found = evaluate(t) <= EVENT
+            functions = self.system.event_functions
+            left = [c for c in unloaded if found and min(functions[c, [NORMAL_EVENT, FRICTION_EVENT]]) >= 0.0]
+            if left == unloaded and any(map(self._starts, unloaded)):
+                return unloaded
+            # it opens, or friction is what keeps its load away, or others take its force
+            self._put(*given)
+            evaluate(t)
+            unloaded = left if left != unloaded else []
+        return []
+
+    def _modes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of all items, see `_put`."""
+        system = self.system
+        return system.contact_int.copy(), system.joint_int.copy(), system.contact_real.copy()
 
     def _put(self, integers: np.ndarray, limits: np.ndarray, numbers: np.ndarray) -> None:
         """Give all items these modes."""
@@ -137,10 +155,17 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         for c in system.closed():
             sticks = system.contact_int[c, MODE] == STICK and system.contact_int[c, UNILATERAL]
             if sticks and math.isinf(system.contact_real[c, MU_STATIC]):
-                tangential, load = float(np.hypot(*system.force[c, :2])), abs(float(system.force[c, 2]))
-                if load * IDEAL_FRICTION < tangential and tangential > self.force_round_off():
+                # times at which loads vanish are known to a part of this
+                least = float(np.hypot(*system.force[c, :2])) / IDEAL_FRICTION
+                if abs(system.force[c, 2]) < 2.0 * least and system.event_functions[c, NORMAL_EVENT] < 0.5 * least:
                     found.append(c)
         return found
+
+    def _starts(self, c: int) -> bool:
+        """Whether contact c begins to slip in the last evaluation."""
+        system, rows = self.system, [*range(int(self.system.contact_int[c, TANGENTS]))]
+        rates = system.rows[c, rows] @ system.acceleration + system.bias[c, rows]
+        return float(np.abs(rates).max()) > ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
 
     def _decide(
         self,
@@ -164,6 +189,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
+        lost = self.lose_friction(t, evaluate) if status == EVENT else []
+        if lost:
+            undecided, beyond = [c for c in undecided if c not in lost], None if beyond in lost else beyond
+            status = evaluate(t)
         # forces that leave constraints unmet are none
         in_vain = self._held_in_vain()
         passing = {} if in_vain else self._let_pass(t, undecided, evaluate)

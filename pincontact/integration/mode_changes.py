@@ -311,14 +311,15 @@ class ModeChanges:
         closed = [c for c in idle if system.contact_int[c, UNILATERAL]]
         if not closed:
             return []
-        kept, modes = self._kept(closed, idle), system.contact_int[closed, MODE].copy()
+        kept, integers = self._kept(closed, idle), system.contact_int.copy()
         rows, bias = system.rows[closed, 2].copy(), system.bias[closed, 2].copy()
         system.contact_int[closed, MODE] = FREE
         # what others do without them
         known = self.rk.evaluate(t) <= EVENT
         rates = rows @ system.acceleration + bias
         sizes = np.abs(rows) @ np.abs(system.free_acceleration) + np.abs(bias)
-        system.contact_int[closed, MODE] = modes
+        # what resists the turning of an open contact has been freed, too
+        system.contact_int[:] = integers
         self.rk.evaluate(t)
         return [c for c, parts in zip(closed, ((rates >= -least * sizes) & ~kept).tolist()) if parts and known]
 

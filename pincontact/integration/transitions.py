@@ -313,11 +313,12 @@ class Transitions:
         integers = self.system.contact_int[c]
         if not integers[UNILATERAL]:
             return self._turn_normal(t, c)
-        if self._rolls_ideally(c):
-            t = self.onset.resolve(t, self.changes.sticking())
-            if not self._rolls_ideally(c):
-                # its tangential force ends with its load
-                return t
+        if integers[MODE] == STICK and math.isinf(self.system.contact_real[c, MU]):
+            lost = self.modes.lose_friction(t, self.rk.evaluate)
+            for i in lost:
+                self.reports.announce_friction(t, i, True)
+            if c in lost:
+                return self.onset.resolve(t, self.changes.sticking())
             if self._closes_again(t, c):
                 return self._reach_limit(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
@@ -347,9 +348,6 @@ class Transitions:
             self.penetration.barely_open[c] = int(modes[c]), self.reports.announce(t, c, "separate")
             modes[c] = FREE
         return self.onset.resolve(t, self.changes.sticking())
-
-    def _rolls_ideally(self, c: int) -> bool:
-        return bool(self.system.contact_int[c, MODE] == STICK and math.isinf(self.system.contact_real[c, MU]))
 
     def _closes_again(self, t: float, c: int) -> bool:
         """Whether contact c, ideal rolling, would close if it were let go; see `penetration`."""

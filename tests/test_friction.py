@@ -170,3 +170,34 @@ def test_slip_on_a_curve_is_the_root_of_a_quadratic(seed):
     size = max(np.roots([1.0 - turn @ turn, -2.0 * (start @ turn), -(start @ start)]).real)
     assert status != NO_FORCE
     np.testing.assert_allclose(system.force[0, 1:], start + size * turn, rtol=0.0, atol=1e-10 * (1.0 + size))
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Sharp98", "RK45", "RK23"])
+def test_a_bilateral_load_passes_through_zero(method):
+    """A bead on a bar, whose load falls by r N/s and is zero at t_0: pulled by f it slips from d = f / (mu r) before
+    t_0 on, at speed v = mu r (s + d)^2 / 2m after s < 0, and comes to rest (1 + sqrt(2)) d after t_0. A millisecond in
+    a step that nothing else shortens."""
+    rng = np.random.default_rng(61)
+    for _ in range(12):
+        mu, zero, fall = rng.uniform(0.2, 1.2), rng.uniform(0.2, 0.8), 10.0 ** rng.uniform(1.0, 3.0)
+        pull, sign = mu * fall * 10.0 ** rng.uniform(-3.5, -1.3), rng.choice([-1.0, 1.0])
+        model = pin.Model()
+        along = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "along")
+        bead = model.addJoint(along, pin.JointModelPZ(), pin.SE3.Identity(), "across")
+        model.appendBodyToJoint(bead, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("bead", bead, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        bar = scene.add_contour("bar", pc.Line(), placement=pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3)))
+        point = scene.add_contour("point", pc.Point(), "bead")
+        scene.add_contact("c", point, bar, friction=pc.Coulomb(mu), bilateral=True)
+
+        def force(t, q, v, pull=pull, zero=zero, fall=sign * fall):
+            return np.array([pull, 9.81 - fall * (zero - t)])
+
+        run = pc.simulate(scene, scene.initial_state([0.0, 0.0]), 1.0, control=force, method=method)
+        d, end = pull / (mu * fall), 1.0 + math.sqrt(2.0)
+        assert [event.kind for event in run.events] == ["slip", "stick"]
+        np.testing.assert_allclose([event.time for event in run.events], [zero - d, zero + end * d], atol=1e-3 * d)
+        way = mu * fall * d**3 * (1.0 / 6.0 + 0.5 * end**2 - end**3 / 6.0 + 0.5 * end)
+        # the start of slip is followed to third order of its seed
+        np.testing.assert_allclose(run.q[-1, 0], way, rtol=1e-3, atol=1e-8)

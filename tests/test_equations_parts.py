@@ -11,7 +11,7 @@ import pytest
 from calling import from_python
 from made_systems import made_system
 
-from pincontact.dynamics import equations, event_functions, least_forces, sliding
+from pincontact.dynamics import equations, event_functions, least_forces, positivity, sliding
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.jit import kernel
 from pincontact.layout import (
@@ -199,13 +199,13 @@ def curves(rng, n=3):
 
 
 @kernel
-def positivity(system, n):
+def assembled(system, n):
     equations.assemble_slip(system, n)
-    return equations.loses_positivity(system, n)
+    return positivity.loses_positivity(system, n)
 
 
 def lost_by(system, count):
-    return part_of_system(positivity)(system, count)
+    return part_of_system(assembled)(system, count)
 
 
 @pytest.mark.parametrize("in_plane", [False, True])
@@ -216,7 +216,7 @@ def test_how_little_of_a_curves_operator_is_left(in_plane):
     system.row_index[:2] = [0, 2], [0, 1]
     for unit in (0.1, 10.0):
         own = unit * np.array([[1.0, 0.0], [0.0, 0.0 if in_plane else 1.0]])
-        for share, lost in ((1.2e-9, equations.NOTHING_LOST), (0.8e-9, equations.CURVES_LOST)):
+        for share, lost in ((1.2e-9, positivity.NOTHING_LOST), (0.8e-9, positivity.CURVES_LOST)):
             system.whitened_rows[:2], system.whitened_forces[:2] = own, np.array([[share], [1.0]]) * own
             assert lost_by(system, 2) == lost
 
@@ -224,7 +224,7 @@ def test_how_little_of_a_curves_operator_is_left(in_plane):
 def test_the_least_angle_between_normals_that_counts():
     """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
     for sine, in_plane in ((5e-6, True), (8e-6, False)):
-        assert part(equations.is_plane)(2.0, sine**2) == in_plane
+        assert part(positivity.is_plane)(2.0, sine**2) == in_plane
 
 
 @SEEDS
@@ -248,12 +248,42 @@ def test_operators_of_curves_that_lose_positivity(in_plane, seed):
             own, pushed = whitened[row : row + 2], forces[row : row + 2]
             size = np.trace if in_plane else np.linalg.det
             expected = expected or bool(size(own @ free @ pushed.T) <= 0.0)
-        assert (lost_by(parts.system, parts.count) == equations.CURVES_LOST) == expected
+        assert (lost_by(parts.system, parts.count) == positivity.CURVES_LOST) == expected
         lost += expected
     assert 0 < lost < 40
     # what nothing moves has nothing to lose
     whitened[held:] = forces[held:] = 0.0
-    assert lost_by(parts.system, parts.count) == equations.NOTHING_LOST
+    assert lost_by(parts.system, parts.count) == positivity.NOTHING_LOST
+
+
+@SEEDS
+def test_what_cannot_open_has_one_operator(seed):
+    """Against determinants, where what sticks is held: that of all that slips and cannot open, and with it that of
+    each contact that slips and can; they are positive without friction, and a single element may be negative."""
+    rng, found = np.random.default_rng([3, seed]), set()
+    for _ in range(400):
+        integers, numbers = items(5)
+        integers[:, MODE], integers[:, PATTERN], integers[:, TANGENTS] = SLIPPING, ON_SURFACE, 1
+        integers[0, MODE], integers[:, UNILATERAL], integers[:, NORMAL_SIGN] = STICK, [1, 0, 1, 0, 0], 1
+        integers[4, MODE] = rng.choice([SLIPPING, FREE])
+        parts = Constrained(rng, integers, numbers)
+        whitened, forces, items_of = parts.whitened, parts.forces, parts.index[:, 0]
+        held = items_of == 0
+        forces[:] = whitened + 0.5 * np.linalg.norm(whitened, axis=1, keepdims=True) * rng.normal(size=whitened.shape)
+        forces[held] = whitened[held]
+        free = np.eye(7) - np.linalg.pinv(whitened[held]) @ whitened[held]
+        operator = whitened @ free @ forces.T
+        alone = np.flatnonzero(items_of == 2).tolist()
+        closed = [r for r in np.flatnonzero(~held).tolist() if r not in alone]
+        units = (whitened @ free / np.linalg.norm(whitened, axis=1, keepdims=True))[closed + alone]
+        if np.linalg.det(units @ units.T) < 1e-2:
+            # next to redundant
+            continue
+        common, beside = (np.linalg.det(operator[np.ix_(rows, rows)]) for rows in (closed, closed + alone))
+        lost = lost_by(parts.system, parts.count) == positivity.CONTACT_LOST
+        assert lost == (common <= 0.0 or beside <= 0.0)
+        found.add((bool(operator.diagonal()[closed + alone].min() <= 0.0), lost))
+    assert len(found) == 4
 
 
 @SEEDS
@@ -272,7 +302,7 @@ def test_operators_of_what_slips_beside_what_is_held(seed):
         free = np.eye(7) - np.linalg.pinv(others) @ others
         alone, beside = whitened[row] @ forces[row], whitened[row] @ free @ forces[row]
         lost = lost_by(parts.system, parts.count)
-        assert (lost == equations.CONTACT_LOST) == (beside <= 0.0)
+        assert (lost == positivity.CONTACT_LOST) == (beside <= 0.0)
         found.add((bool(alone <= 0.0), bool(beside <= 0.0)))
         # what the others hold but for a thousandth of its mobility is one of redundant forces
         part_left = free @ whitened[row]
@@ -281,7 +311,7 @@ def test_operators_of_what_slips_beside_what_is_held(seed):
             near = whitened[row] - part_left + rest * part_left / np.linalg.norm(part_left)
             kept = whitened[row].copy(), forces[row].copy()
             whitened[row], forces[row] = near, near - 2.0 * rest * part_left / np.linalg.norm(part_left)
-            assert (lost_by(parts.system, parts.count) == equations.NOTHING_LOST) == exempt
+            assert (lost_by(parts.system, parts.count) == positivity.NOTHING_LOST) == exempt
             whitened[row], forces[row] = kept
     assert len(found) == 4
 

@@ -16,7 +16,7 @@ import pytest
 from calling import from_python
 from made_systems import made_system
 
-from pincontact.dynamics import equations
+from pincontact.dynamics import equations, positivity
 from pincontact.dynamics.event_functions import JAM_LIMIT
 from pincontact.friction.stribeck import stribeck
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
@@ -248,6 +248,16 @@ def largest_multiplier(at):
     return max(multipliers.values())
 
 
+def mobility(at, friction):
+    """What forces accelerate where what sticks is held, and the fifth contact, which slides and cannot open: with
+    its friction or without."""
+    held = np.array([at.rows[i, row] for i, row in at.constrained if not slips(at, i)])
+    inverse = at.inverse - at.inverse @ held.T @ np.linalg.pinv(held @ at.inverse @ held.T) @ held @ at.inverse
+    normal = at.rows[4, 2]
+    force = normal - friction * at.numbers[4, MU] * at.integers[4, NORMAL_SIGN] * at.d[4, 0] * at.rows[4, 0]
+    return inverse - np.outer(inverse @ force, normal @ inverse) / (normal @ inverse @ force)
+
+
 def expected_event_functions(at):
     out = np.ones((TOTAL, EVENTS_PER_CONTACT))
     largest = largest_multiplier(at)
@@ -268,14 +278,12 @@ def expected_event_functions(at):
             out[i, FRICTION_EVENT] = 3.0 * load - np.linalg.norm(tangential) + 0.01 * (3.0 * load + largest)
         if mode == SLIPPING and at.integers[i, TANGENTS] == 1:
             out[i, SPEED_EVENT] = at.d[i, 0] * (at.basis[i, 0] @ at.slip[i])
-    if at.integers[4, MODE] == SLIPPING:
-        out[4, NORMAL_EVENT] = -at.force[4, 2]
+    out[4, NORMAL_EVENT] = -at.force[4, 2]
     if at.integers[7, MODE] == SLIPPING:
         out[7, NORMAL_EVENT] = math.hypot(*at.force[7, :2])
-        held = np.array([at.rows[i, row] for i, row in at.constrained if not slips(at, i)])
-        inverse = at.inverse - at.inverse @ held.T @ np.linalg.pinv(held @ at.inverse @ held.T) @ held @ at.inverse
-        normal = inverse @ at.rows[7, 2]
-        out[7, FRICTION_EVENT] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - JAM_LIMIT
+        pushed, own = (mobility(at, friction) @ force for friction, force in ((True, at.d[7] @ at.rows[7, :2]),
+                                                                              (False, at.rows[7, 2])))  # fmt: skip
+        out[7, FRICTION_EVENT] = -(at.rows[7, 2] @ pushed) / (at.rows[7, 2] @ own) - JAM_LIMIT
     out[NC, NORMAL_EVENT] = at.force[NC, 2] + 5.0
     # what only friction holds may exceed its limits by the same part as contacts
     slack = 0.01 * 11.0
@@ -463,7 +471,7 @@ def test_what_ends_the_fixed_point_of_curves(monkeypatch):
     ):  # fmt: skip
         at, asked = made(1), []
         monkeypatch.setattr(equations, "update_normal_shares", lambda *given, c=change, a=asked: a.append(1) or c)
-        kind = equations.CURVES_LOST if lost else equations.NOTHING_LOST
+        kind = positivity.CURVES_LOST if lost else positivity.NOTHING_LOST
         monkeypatch.setattr(equations, "loses_positivity", lambda *given, kind=kind: kind)
         assert (solved(at).status == NO_FORCE) == (status == NO_FORCE)
         assert len(asked) == rounds
@@ -510,10 +518,8 @@ def test_slip_that_jams():
     d = ELLIPSE @ ELLIPSE @ at.d[3] / np.linalg.norm(ELLIPSE @ at.d[3])
     for i in range(2):
         at.rows[3, i] += at.rows[3, 2] * d[i]
-    # in the motions that what does not slip leaves
-    held = np.array([at.rows[c, row] for c, row in at.constrained if not slips(at, c)])
-    normal = at.inverse @ at.rows[3, 2]
-    normal -= at.inverse @ held.T @ np.linalg.solve(held @ at.inverse @ held.T, held @ normal)
+    # in the motions that the others leave
+    normal = at.rows[3, 2] @ mobility(at, True)
     pull = d @ at.rows[3, :2] @ normal / (at.rows[3, 2] @ normal)
     assert pull > 0.0
     for share, status in ((0.9, OK), (1.0 - 1e-10, NO_FORCE), (1.1, NO_FORCE)):
@@ -541,8 +547,8 @@ def slip_system(operator, own, x, on_curve=False):
 
 @kernel
 def slip_solver(system, n):
-    lost = equations.loses_positivity(system, n)
-    return -1 if lost == equations.CONTACT_LOST else equations.solve_slip(system, n)
+    lost = positivity.loses_positivity(system, n)
+    return -1 if lost == positivity.CONTACT_LOST else equations.solve_slip(system, n)
 
 
 @SEEDS

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..friction.cone import COMMON_LIMIT, PAINLEVE_LIMIT
+from ..friction.cone import COMMON_LIMIT
 from ..friction.ellipse import friction_direction
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
@@ -25,7 +25,6 @@ from ..layout import (
     HIGH_FORCE,
     JOINT_SIGN,
     JOINT_V,
-    LIFT,
     LOW_FORCE,
     MODE,
     MU,
@@ -36,10 +35,8 @@ from ..layout import (
     NORMAL_SIGN,
     OWNER,
     PATTERN,
-    ROLLING_ROW,
     SLIP_SPEED,
     SLIPPING,
-    SPINNING_ROW,
     STICK,
     SYSTEM,
     TANGENTS,
@@ -52,7 +49,6 @@ from ..linalg import (
     least_norm,
     solve_factored,
     solve_gram,
-    subtract_row,
     unwhiten,
     whiten,
     whiten_rows,
@@ -63,7 +59,8 @@ from .event_functions import (
     joint_event_functions,
     resistance_event_functions,
 )
-from .least_forces import count_unloaded, is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_event_functions
+from .least_forces import count_unloaded, leave_unloaded, solve_for_least, unloaded_event_functions
+from .positivity import CONTACT_LOST, NOTHING_LOST, is_plane, loses_positivity, slides_on_curve
 from .resistance import count_items, free_with_owners
 from .sliding import coefficient_at, is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
 
@@ -75,8 +72,6 @@ _NORMAL_FOUND = 1e-6
 # Accelerations that contact forces cancel down to this part are zero, so that what is held does not creep by round-off
 # times the square of a step.
 _CANCELLED = 4e-15
-# Whose operator has lost positivity, see `loses_positivity`.
-NOTHING_LOST, CURVES_LOST, CONTACT_LOST = range(3)
 
 
 @separate_kernel(INTEGER, SYSTEM.type)
@@ -407,99 +402,6 @@ def solve_slip(system, n):
         right[i] = x[i]
     rank = least_norm(operator, right, n, n, x, scratch, system.permutation, RANK_TOLERANCE)
     return rank if rank > 0 else -1
-
-
-# ------------------------------------------------------------------------------------------------ positivity (Painleve)
-
-
-@kernel
-def slips(system, c):
-    """Whether friction goes with the normal force of item c: it slips, or what resists its turning does."""
-    integers = system.contact_int
-    spinning, rolling = integers[c, SPINNING_ROW], integers[c, ROLLING_ROW]
-    turns = (spinning > 0 and integers[spinning, MODE] == SLIPPING) or (
-        rolling > 0 and integers[rolling, MODE] == SLIPPING
-    )
-    return integers[c, MODE] == SLIPPING or turns
-
-
-@kernel
-def hold_others(system, n):
-    """Eliminate from the operator of slip the rows that do not slip, as if these were held, into `constraint_rows`.
-
-    In its last column is the diagonal without friction, as in `delassus`; in `right_side`, for the first of the two
-    normals of a point on a curve, the product of both.
-    """
-    operator, left, right, whitened = system.delassus, system.constraint_rows, system.right_side, system.whitened_rows
-    for r in range(n):
-        for j in range(n + 1):
-            left[r, j] = operator[r, j]
-        pair = r + 1 < n and slides_on_curve(system, r)
-        right[r] = inner(whitened[r], whitened[r + 1], system.sizes.nv) if pair else 0.0
-    for p in range(n):
-        pivot = left[p, p]
-        if slips(system, system.row_index[p, 0]) or not pivot > RANK_TOLERANCE * operator[p, p]:
-            continue
-        for r in range(n):
-            if slides_on_curve(system, r):
-                right[r] -= left[r, p] * left[r + 1, p] / pivot
-            left[r, n] -= left[r, p] * left[r, p] / pivot
-        for r in range(n):
-            if r != p:
-                subtract_row(left[r, :n], left[p, :n], left[r, p] / pivot)
-
-
-@kernel
-def loses_positivity(system, n):
-    """Whether the operator of a contact that slips has lost positivity: there is no force then, or there are two.
-
-    It is the contact's own where all that does not slip is held, as it would be by joints, against what it is without
-    friction. Where that is next to nothing its normal force is one of redundant ones, and the least unevenness decides
-    which sign it has. CURVES_LOST where only points on curves have lost theirs: see `curve_loses_positivity`.
-    """
-    hold_others(system, n)
-    operator, left, lost = system.delassus, system.constraint_rows, NOTHING_LOST
-    for r in range(n):
-        c, own = system.row_index[r, 0], left[r, n]
-        if is_normal_of_curve(system.contact_int, c, system.row_index[r, 1]):
-            if slides_on_curve(system, r) and curve_loses_positivity(system, r, n):
-                lost = CURVES_LOST
-        elif slips(system, c):
-            numbers = system.contact_real[c]
-            numbers[LIFT] = left[r, r] / own if own > COMMON_LIMIT * operator[r, n] else 1.0
-            if not numbers[LIFT] > PAINLEVE_LIMIT:
-                return CONTACT_LOST
-    return lost
-
-
-@kernel
-def slides_on_curve(system, r):
-    """Whether rows r and r + 1 are the two normals of a point that slips on a spatial curve."""
-    integers = system.contact_int[system.row_index[r, 0]]
-    return system.row_index[r, 1] == 2 and integers[PATTERN] == ON_CURVE and integers[MODE] == SLIPPING
-
-
-@kernel
-def curve_loses_positivity(system, r, n):
-    """Whether that of a point on a curve has, of both its normals, the rows r and r + 1 of `hold_others`.
-
-    Its determinant is that of the frictionless one times 1 - mu l . k, k = G_nn^-1 G_nt, whichever normals are taken;
-    where all motions are in one plane with the tangent, its trace is.
-    """
-    left, both = system.constraint_rows, system.right_side[r]
-    trace, size = left[r, n] + left[r + 1, n], left[r, n] * left[r + 1, n] - both * both
-    if not trace > COMMON_LIMIT * (system.delassus[r, n] + system.delassus[r + 1, n]):
-        return False
-    if is_plane(trace, size):
-        return not left[r, r] + left[r + 1, r + 1] > PAINLEVE_LIMIT * trace
-    determinant = left[r, r] * left[r + 1, r + 1] - left[r, r + 1] * left[r + 1, r]
-    return not determinant > PAINLEVE_LIMIT * size
-
-
-@kernel
-def is_plane(trace, determinant):
-    """Whether all motions along two normals, whose operator has this trace and determinant, are in one plane."""
-    return not determinant > RANK_TOLERANCE * trace**2
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..friction.choices import Units, chosen_forces, holding_loads
-from ..friction.cone import SLIP, STICK
+from ..friction.cone import PAINLEVE_LIMIT, SLIP, STICK
 from ..friction.feasibility import crushing_combination
 from ..friction.loads import TOLERANCE, LoadSolver
 from ..friction.solve import ContactSolver
@@ -31,7 +31,6 @@ from ..layout import (
 )
 from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK
-from .equations import PAINLEVE_LIMIT
 from .event_functions import IDEAL_FRICTION
 from .units import REDUNDANT, ContactProblem, relative_velocity, unwhiten, whitened_velocity
 

@@ -75,7 +75,7 @@ def apply_impact(
     coordinates that are held at an end; restitution: contact -> coefficient, applied to the approach speed of v_c, 0
     for others, and lowered where it would create energy (`energy`); struck: contacts that were open before; jammed:
     an impact without collision, which no impulses would solve, too: the one that time stepping finds, however short its
-    steps, is the solution with what accelerates in a short time, and then without it.
+    steps, is the solution with what accelerates in a short time.
 
     Tangential impulses obey Coulomb's law with the final slip velocity. The coefficient is that of the speed of slip
     before; what was at rest holds up to that of sticking, and has that of sliding if it does not hold.
@@ -85,8 +85,14 @@ def apply_impact(
         pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
         if pushed.solve(solver, 1.0) is None:
             return None
-        problem.near = pushed.forces
-    kept, y = 1.0, problem.solve(solver, 1.0)
+        # without what accelerates, no impulses at all are a solution, too; what it would add parts no bodies
+        y = problem.take(pushed.forces)
+        loaded = 3 * np.flatnonzero((problem.normal > 0.0) & (problem.forces[2::3] > 0.0)) + 2
+        rows, parting = problem.reduced[:, loaded], (problem.gram @ problem.forces + problem.base)[loaded]
+        y -= np.linalg.lstsq(rows.T, parting, rcond=REDUNDANT)[0]
+    else:
+        y = problem.solve(solver, 1.0)
+    kept = 1.0
     if problem.rebound.any() and (y is None or problem.gain(y) > 0.0):
         # constraints that depend on each other may leave a rebound no way: as in time stepping, there is none then
         kept = 0.0 if y is None else problem.most_kept(solver)
@@ -112,12 +118,7 @@ def crushing_items(system: System, closed: list[int], ends: list[int]) -> list[i
 
 
 class _Problem(ContactProblem):
-    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-).
-
-    near: forces of the solver's last solution, to start from; None: from none.
-    """
-
-    near: np.ndarray | None = None
+    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-)."""
 
     def __init__(
         self,
@@ -191,7 +192,12 @@ class _Problem(ContactProblem):
                 self._choose(b, mu, modes)
                 break
             mu[slips] = self.sliding[slips]
-        return self.start + self.reduced @ self.forces
+        return self.take(self.forces)
+
+    def take(self, forces: np.ndarray) -> np.ndarray:
+        """y of these impulses (3n,)."""
+        self.forces = forces
+        return self.start + self.reduced @ forces
 
     def _let_unpressed_go(
         self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray, modes: np.ndarray
@@ -211,10 +217,10 @@ class _Problem(ContactProblem):
 
     def _search(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
         """Modes (n,) of a solution, whose impulses are `forces` then, or None."""
-        if self.is_cone and solver.solve(self.gram, b, mu, afresh=self.near is None):
+        if self.is_cone and solver.solve(self.gram, b, mu, afresh=True):
             self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
             return solver.modes
-        loads, start = replace(self.loads(), base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
+        loads, start = replace(self.loads(), base=b, mu=mu), np.zeros(b.size)
         self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             self.forces, residual = loads.solve(start)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from ..friction.cone import COMMON_LIMIT, PAINLEVE_LIMIT
 from ..geometry.patterns import ON_CURVE
@@ -14,8 +15,18 @@ from ..layout import LIFT, MODE, PATTERN, ROLLING_ROW, SLIPPING, SPINNING_ROW, U
 from ..linalg import RANK_TOLERANCE, inner, subtract_row
 from .least_forces import is_normal_of_curve
 
+if TYPE_CHECKING:
+    from .system import System
+
 # Whose operator has lost positivity, see `loses_positivity`.
 NOTHING_LOST, CURVES_LOST, CONTACT_LOST = range(3)
+
+
+def is_positive(system: System) -> bool:
+    """Whether the determinant of the last evaluation's operator is positive, see `equations.solve_slip`, however
+    little, or there is none since rows are redundant."""
+    counters = system.counters
+    return bool(counters.row_rank < counters.row_count or system.delassus.item(0, 0) > 0.0)
 
 
 @kernel

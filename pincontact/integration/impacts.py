@@ -14,6 +14,7 @@ from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import associated
 from ..dynamics.impact import apply_impact, coefficient, crushing_items
 from ..dynamics.modes import rest_mode
+from ..dynamics.positivity import is_positive
 from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..layout import (
     EVENT,
@@ -40,6 +41,8 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # What stops takes so many times more where constraints are next to dependent than each of them does.
 _NEXT_TO_DEPENDENT = 1e2
+# So often what has jammed does so again at once.
+_JAMS = 100
 # Slip this many times faster than a bounce goes on in its direction when friction of its impulse is taken from it.
 _FASTER = 2.0
 
@@ -198,6 +201,8 @@ class Impacts:
         self.rk.keep_velocity()
         struck, kinetic = system.v.copy(), changes.energies()[0] if deep else 0.0
         changes.count_works(impact.contacts, impact.drives, impact.joints)
+        if jammed:
+            self._jam_on(t)
         changes.evaluate_rows(t)
         self._rubbing, self._rubs_alone = self._slips()
         self._open_leaving(closed)
@@ -212,7 +217,9 @@ class Impacts:
             changes.stop_jammed(t)
         else:
             changes.set_from_velocities(after_impact=True)
-        self._end_short_motions(t, closed, ends)
+        if not jammed:
+            # forces right after a jam are as large as can be, and end slips only in their first moments
+            self._end_short_motions(t, closed, ends)
         self._announce_opened(t, closed, touching, near)
         changes.count_loss(before)
         if deep:
@@ -481,15 +488,23 @@ class Impacts:
             if self.rk.evaluate(t) <= EVENT:
                 return False
         # the slip that an impact has left jams at once
-        self.changes.evaluate_rows(t)
-        ends = list(self.joints.held_at_ends())
-        impact = apply_impact(system, self.changes.modes.solver, system.closed(), ends, {}, jammed=True)
-        if impact is None:
-            raise self.reports.failure(t, NO_FORCE)
-        self.rk.keep_velocity()
-        self.changes.count_works(impact.contacts, impact.drives, impact.joints)
-        self.changes.evaluate_rows(t)
+        self._jam_on(t)
         return False
+
+    def _jam_on(self, t: float) -> None:
+        """Impacts without collision while slips jam: slower ones may have other friction, and jam at once again."""
+        system, changes, ends = self.system, self.changes, list(self.joints.held_at_ends())
+        for _ in range(_JAMS):
+            changes.evaluate_rows(t)
+            changes.set_from_velocities(after_impact=True)
+            if self.rk.evaluate(t) <= EVENT and is_positive(system):
+                return
+            changes.evaluate_rows(t)
+            impact = apply_impact(system, changes.modes.solver, system.closed(), ends, {}, jammed=True)
+            if impact is None:
+                raise self.reports.failure(t, NO_FORCE)
+            self.rk.keep_velocity()
+            changes.count_works(impact.contacts, impact.drives, impact.joints)
 
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""

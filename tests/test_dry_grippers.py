@@ -42,7 +42,8 @@ class Gripper:
         self.scene = scene = pc.Scene(model)
         floor, pairs = scene.add_contour("floor", pc.Plane()), {}
         for i, corner in enumerate(HALF * [[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]]):
-            pairs[f"corner_{i}"] = scene.add_contour(f"corner_{i}", pc.Point(), "box", pin.SE3(np.eye(3), corner)), floor
+            place = pin.SE3(np.eye(3), corner)
+            pairs[f"corner_{i}"] = scene.add_contour(f"corner_{i}", pc.Point(), "box", place), floor
         for i in range(2):
             face = pin.utils.rotate("z", np.pi * i) @ pin.utils.rotate("y", np.pi / 2)
             place = pin.SE3(face, HALF[0] * face[:, 2])
@@ -71,9 +72,7 @@ def test_what_they_can_hold_goes_up_with_them(options, grips, turned):
     rng = np.random.default_rng(51)
     for _ in range(4):
         gripper = Gripper(rng, grips, turned)
-        run = pc.simulate(
-            gripper.scene, gripper.start, TIME, control=gripper.torques, breakpoints=[LIFTED], **options
-        )
+        run = pc.simulate(gripper.scene, gripper.start, TIME, control=gripper.torques, breakpoints=[LIFTED], **options)
         assert run.status == 0, run.message
         np.testing.assert_allclose(run.q[-1, 5] - run.q[0, 5], run.q[-1, 0] - run.q[0, 0], atol=1e-9)
         # the force is the weight at 0.2 s; then it grows for 4 ms, and the rest of the time it is constant

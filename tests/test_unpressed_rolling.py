@@ -1,4 +1,4 @@
-"""Ideal rolling on a wall that nothing presses it onto: the limit of Coulomb's law, which has no friction without a load.
+"""Ideal rolling on a wall that nothing presses it onto: the limit of Coulomb's law, with no friction without a load.
 
 A wheel of mass m, radius R and inertia k m R^2 beside a vertical wall. Pressed it rolls, and gravity accelerates it by
 g / (1 + k); not pressed it falls freely and turns on; pressed again its slip ends at once, which keeps its angular

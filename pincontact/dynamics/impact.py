@@ -81,6 +81,7 @@ def apply_impact(
     before; what was at rest holds up to that of sticking, and has that of sliding if it does not hold.
     """
     problem = _Problem(system, closed, ends, restitution, struck, jammed)
+    y: np.ndarray | None
     if jammed:
         pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
         if pushed.solve(solver, 1.0) is None:

@@ -95,14 +95,18 @@ def hold_without_friction(system, n):
     for r in range(n):
         for j in range(n):
             left[r, j] = inner(whitened[r], whitened[j], system.sizes.nv)
-    for p in range(n):
-        pivot, shared = left[p, p], cannot_open(system, p)
-        if shared and not pivot > COMMON_LIMIT * whole[p, n]:
-            return 0.0
+    for k in range(2 * n):
+        # what does not slip first
+        p, shared = k % n, k >= n
+        if slips(system, system.row_index[p, 0]) != shared or (shared and not cannot_open(system, p)):
+            continue
+        pivot = left[p, p]
+        if not pivot > (COMMON_LIMIT if shared else RANK_TOLERANCE) * whole[p, n]:
+            if shared:
+                return 0.0
+            continue
         if shared:
             determinant *= pivot / whole[p, n]
-        elif slips(system, system.row_index[p, 0]) or not pivot > RANK_TOLERANCE * whole[p, n]:
-            continue
         for r in range(n):
             if r != p:
                 subtract_row(left[r, :n], left[p, :n], left[r, p] / pivot)

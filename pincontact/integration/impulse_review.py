@@ -130,9 +130,10 @@ def review(system, step):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
-    holds it without a jam; ideal rolling that nothing presses has no friction; and restitution is lowered where, together with friction, it would create energy. Before all
-    this, loads that the problem takes as given are a fixed point, which is iterated a few times, then found together
-    with the forces (see `friction.loads`): the last step's may let go what this one's hold.
+    holds it without a jam; ideal rolling that nothing presses has no friction; and restitution is lowered where,
+    together with friction, it would create energy. Before all this, loads that the problem takes as given are a fixed
+    point, which is iterated a few times, then found together with the forces (see `friction.loads`): the last step's
+    may let go what this one's hold.
     """
     nv, h, scratch = system.sizes.nv, step.numbers.h, system.work
     counts, n, units = step.counts, step.counts.units, step.units

@@ -172,9 +172,9 @@ class ModeChanges:
                     self.reports.announce_friction(t, c, mode == SLIPPING)
             elif shares_viscous_force(system, c):
                 continue
-            elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
-                self.reports.announce_friction(t, c, True)
-            elif mode == FRICTIONLESS and before[c] == STICK:
+            elif (before[c] == STICK and mode in (SLIPPING, FRICTIONLESS)) or (
+                mode == SLIPPING and signs[c] != system.contact_int[c, SLIP_SIGN]
+            ):
                 self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
 

@@ -18,6 +18,7 @@ from ..geometry.patterns import CROSSING_CURVES
 from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
+    EVENT,
     FREE,
     FRICTION_EVENT,
     FRICTIONLESS,
@@ -315,9 +316,9 @@ class Transitions:
             return self._turn_normal(t, c)
         if integers[MODE] == STICK and math.isinf(self.system.contact_real[c, MU]):
             lost = self.modes.lose_friction(t, self.rk.evaluate)
-            for i in lost:
-                self.reports.announce_friction(t, i, True)
-            if c in lost:
+            if c in lost and not self._parts_soon(t, c):
+                for i in lost:
+                    self.reports.announce_friction(t, i, True)
                 return self.onset.resolve(t, self.changes.sticking())
             if self._closes_again(t, c):
                 return self._reach_limit(t, c)
@@ -348,6 +349,17 @@ class Transitions:
             self.penetration.barely_open[c] = int(modes[c]), self.reports.announce(t, c, "separate")
             modes[c] = FREE
         return self.onset.resolve(t, self.changes.sticking())
+
+    def _parts_soon(self, t: float, c: int) -> bool:
+        """Whether contact c, closed in the accepted state and without a load, would be pulled next."""
+        self.rk.accept()
+        tau = min(self.onset.seed, self.onset.longest)
+        pulled = False
+        if tau > 0.0 and self.rk.try_step(t, tau) == OK:
+            self.rk.load(self.system.new_state)
+            pulled = self.rk.evaluate(t + tau) <= EVENT and bool(self.system.event_functions[c, NORMAL_EVENT] < 0.0)
+        self.changes.evaluate_accepted(t)
+        return pulled
 
     def _closes_again(self, t: float, c: int) -> bool:
         """Whether contact c, ideal rolling, would close if it were let go; see `penetration`."""

@@ -44,6 +44,8 @@ _AHEAD = 1e-8
 _AGREES = 1e-9
 # Friction is as much larger there as takes slip beyond where it counts as jammed.
 _BEYOND = 1.0 + 10.0 * PAINLEVE_LIMIT
+# Impulses that differ by no more than this part of the largest are those of the same solution.
+_NEAR = 1e-3
 # A choice turns the slip, and with it what is to be chosen, at most so often.
 _TURNS = 50
 # How accurately is known which part of the restitution makes no energy.
@@ -86,8 +88,8 @@ def apply_impact(
         pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
         if pushed.solve(solver, 1.0) is None:
             return None
-        # without what accelerates, no impulses at all are a solution, too; what it would add parts no bodies
-        y = problem.take(pushed.forces)
+        # what it would add parts no bodies
+        y = problem.take(problem.near(pushed.forces))
         loaded = 3 * np.flatnonzero((problem.normal > 0.0) & (problem.forces[2::3] > 0.0)) + 2
         rows, parting = problem.reduced[:, loaded], (problem.gram @ problem.forces + problem.base)[loaded]
         y -= np.linalg.lstsq(rows.T, parting, rcond=REDUNDANT)[0]
@@ -194,6 +196,13 @@ class _Problem(ContactProblem):
                 break
             mu[slips] = self.sliding[slips]
         return self.take(self.forces)
+
+    def near(self, forces: np.ndarray) -> np.ndarray:
+        """Impulses (3n,) of a solution near to these, which are those of a little other velocities; else these. No
+        impulses at all may be a solution, too."""
+        found, residual = self.loads().refine(forces)
+        change = np.abs(found - forces).max(initial=0.0)
+        return found if residual <= TOLERANCE and change <= _NEAR * np.abs(forces).max(initial=0.0) else forces
 
     def take(self, forces: np.ndarray) -> np.ndarray:
         """y of these impulses (3n,)."""

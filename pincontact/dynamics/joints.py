@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -83,7 +84,8 @@ def joint_limits(model: pin.Model) -> list[JointLimit]:
     """The coordinates of a model that have limits (`lowerPositionLimit`, `upperPositionLimit`, of joints whose
     configuration is a vector) or dry friction (`lowerDryFrictionLimit`, `upperDryFrictionLimit`), but for locked ones.
 
-    Raises ModelError for a range that is empty, or a friction that does not oppose motion.
+    Raises ModelError for a range that is empty, or a friction that does not oppose motion; warns of one that opposes it
+    in one direction only.
     """
     limits = []
     unbounded = np.finfo(float).max
@@ -101,6 +103,12 @@ def joint_limits(model: pin.Model) -> list[JointLimit]:
             joint = joint_of(model, iv + k)
             if not low_force <= 0.0 <= high_force:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
+            if (low_force == 0.0) != (high_force == 0.0):
+                warnings.warn(
+                    f"joint {joint!r}: dry friction from {low_force:g} to {high_force:g} opposes motion one way only; "
+                    "set both lowerDryFrictionLimit and upperDryFrictionLimit (model.friction is the latter alone).",
+                    stacklevel=2,
+                )
             if not low_end <= high_end:
                 raise ModelError(f"joint {joint!r}: the position limits {low_end} to {high_end} are an empty range")
             if low_end < high_end:

@@ -14,16 +14,15 @@ from ..layout import (
     DRIVE_WORK,
     FREE,
     FRICTION_WORK,
-    MOTION_KIND,
     PATTERN,
     SYSTEM,
-    TIME_DEPENDENT,
     TORQUE_WORK,
     UNILATERAL,
 )
 from ..linalg import inner
 from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN, STEP
 from .impulse_velocities import free_gain, rigid_velocity, start_velocity
+from .stages import is_driven
 
 
 @kernel
@@ -152,10 +151,7 @@ def _work_of_drives(system, step):
     """What prescribed motions do: what impulses do on the joints less what they do on v_c."""
     nv, v0, side_int, work = system.sizes.nv, step.transported_v, system.side_int, 0.0
     for c in range(system.sizes.nc):
-        is_driven = False
-        for side in range(2 * c, 2 * c + 2):
-            is_driven = is_driven or side_int[side, MOTION_KIND] != 0 or side_int[side, TIME_DEPENDENT] != 0
-        for row in range(3 if is_driven else 0):
+        for row in range(3 if is_driven(side_int, c) else 0):
             line = system.rows[c, row]
             # what v_c is on average where nothing but the motion moves it, against what the joints make of it
             driven = start_velocity(system, step, c, row)

@@ -29,11 +29,13 @@ from ..layout import (
     KIND,
     MAX_STAGES,
     MODE,
+    MOTION_KIND,
     NUMBER_OF_WORKS,
     OWNER,
     SLIPPING,
     STICK,
     SYSTEM,
+    TIME_DEPENDENT,
     TORQUE_WORK,
     system_at,
 )
@@ -101,6 +103,15 @@ def fill_slope(system, state, slope):
 
 
 @kernel
+def is_driven(side_int, c):
+    """Whether a contour of contact c has a prescribed motion or shape."""
+    for side in range(2 * c, 2 * c + 2):
+        if side_int[side, MOTION_KIND] != 0 or side_int[side, TIME_DEPENDENT] != 0:
+            return True
+    return False
+
+
+@kernel
 def _powers(system, nv, nc, out):
     """Powers in W: contact force on v_c, contact force of prescribed motions, user's torques, joints' damping and dry
     friction.
@@ -122,6 +133,7 @@ def _powers(system, nv, nc, out):
         # accelerations have dry friction change its sign with the load, and so are smooth
         owner = contact_int[c, OWNER] if c >= nc + ng else c
         turned = contact_int[c, MODE] == SLIPPING and pulls(contact_int, force, owner)
+        driven = is_driven(system.side_int, owner)
         for row in range(3):
             component, on_joints = force[c, row], 0.0
             if turned and row < 2:
@@ -129,12 +141,13 @@ def _powers(system, nv, nc, out):
                 if resists_viscously(contact_int[c], system.contact_real[c]):
                     component += 2.0 * viscous_force(system.contact_real[c], basis[c, row], slip[c])
             on_slip = component * dot(basis[c, row], slip[c])
-            for k in range(nv):
-                on_joints += rows[c, row, k] * v[k]
             if row < 2 and contact_int[c, MODE] != STICK:
                 # what is held does no work; its small v_c within a step would only feed the error estimate
                 out[FRICTION_WORK] += on_slip
-            out[DRIVE_WORK] += component * on_joints - on_slip
+            if driven:
+                for k in range(nv):
+                    on_joints += rows[c, row, k] * v[k]
+                out[DRIVE_WORK] += component * on_joints - on_slip
     joint_int = system.joint_int
     for g in range(ng):
         dry = dry_friction_force(contact_int[nc + g, MODE], joint_int[g], system.joint_real[g])

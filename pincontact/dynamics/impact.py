@@ -200,6 +200,8 @@ class _Problem(ContactProblem):
     def near(self, forces: np.ndarray) -> np.ndarray:
         """Impulses (3n,) of a solution near to these, which are those of a little other velocities; else these. No
         impulses at all may be a solution, too."""
+        if not forces.size:
+            return forces
         found, residual = self.loads().refine(forces)
         change = np.abs(found - forces).max(initial=0.0)
         return found if residual <= TOLERANCE and change <= _NEAR * np.abs(forces).max(initial=0.0) else forces

@@ -41,6 +41,8 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # What stops takes so many times more where constraints are next to dependent than each of them does.
 _NEXT_TO_DEPENDENT = 1e2
+# Slips that change by less than this part of the fastest one have not jammed: what accelerates in a short time does that.
+_LEAST_JAM = 1e-6
 # So often what has jammed does so again at once.
 _JAMS = 100
 # Slip this many times faster than a bounce goes on in its direction when friction of its impulse is taken from it.
@@ -128,7 +130,9 @@ class Impacts:
         integers, limits = system.contact_int.copy(), system.joint_int.copy()
         after = self.collide(t, [], {}, jammed=True)
         modes, slips, _, _ = self._before
-        if np.abs(system.slip - slips)[modes == SLIPPING].max(initial=0.0) <= rest_speed(system):
+        sliding = modes == SLIPPING
+        least = max(rest_speed(system), _LEAST_JAM * np.abs(slips[sliding]).max(initial=0.0))
+        if np.abs(system.slip - slips)[sliding].max(initial=0.0) <= least:
             system.contact_int[:], system.joint_int[:] = integers, limits
             self.rk.load(system.state)
             changes.evaluate_rows(t)

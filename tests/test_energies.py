@@ -287,3 +287,29 @@ def test_balance_at_outputs_of_the_step_in_which_a_load_ends(method, two_sided):
         assert two_sided or run.events
         # rtol of the energies, which are some 2 J; outputs within steps are a little less accurate than their ends
         assert np.abs(run.energies().balance).max() < 3e-6
+
+
+@pytest.mark.parametrize(("mass", "length"), [(1e8, 1.0), (1e3, 1e3)])
+def test_units_do_not_change_the_steps(mass, length):
+    """An eccentric ball that rolls, of great mass or in millimetres and grams: nothing drives its contact, whose work
+    then is none, and no round-off of its forces that would be as large as absolute tolerances."""
+    steps = []
+    for m, unit in ((1.0, 1.0), (mass, length)):
+        model = pin.Model()
+        model.gravity.linear = np.array([0.0, 0.0, -G * unit])
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+        inertia = pin.Inertia(m, unit * np.array([0.05, 0.02, 0.03]), unit**2 * m * np.diag([0.02, 0.03, 0.025]))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        sphere, floor = (
+            scene.add_contour("sphere", pc.Sphere(0.2 * unit), "ball"),
+            scene.add_contour("floor", pc.Plane()),
+        )
+        scene.add_contact("c", sphere, floor, friction=pc.NoSlip())
+        state = scene.initial_state([0, 0, 0.2 * unit, 0, 0, 0, 1], [unit, 0, 0, 0, 5.0, 2.0])
+        run = pc.simulate(scene, state, 1.0, energies=True, max_steps=500)
+        assert run.status == 0, run.message
+        steps.append(run.stats["steps"])
+        assert not run.energies().drive_work.any()
+    assert steps[1] <= 1.2 * steps[0]

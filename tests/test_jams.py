@@ -148,3 +148,60 @@ def test_jams_do_not_depend_on_the_tolerance(method):
     # without the impulse that stops the slip it turns at -1.95 rad/s and not at -2.30; the jam multiplies errors
     assert found[-1] == pytest.approx(steps.v[-1][2], abs=1e-2)
     assert found == pytest.approx([found[-1]] * 3, abs=1e-5)
+
+
+def skateboard(seed):
+    """Two leaning trucks of two wheels each that turn faster or slower than they roll, on a slope. Some slips turn, and
+    jam, within milliseconds."""
+    rng = np.random.default_rng(seed)
+    model, wheels = pin.Model(), []
+    frame = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "frame")
+    mass = rng.uniform(1.0, 30.0)
+    rng.uniform(size=3)
+    moments = np.diag(np.sort(rng.uniform(0.5, 0.9, 3)) * mass * 0.05)
+    model.appendBodyToJoint(frame, pin.Inertia(mass, np.array([0.3, 0.0, 0.1]), moments), pin.SE3.Identity())
+    for x, way in ((0.0, 1.0), (0.6, -1.0)):
+        lean = way * rng.uniform(0.3, 0.9)
+        axis = pin.JointModelRevoluteUnaligned(np.array([math.sin(lean), 0.0, math.cos(lean)]))
+        truck = model.addJoint(frame, axis, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), f"truck {x}")
+        model.appendBodyToJoint(truck, pin.Inertia(0.5, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        for y in (0.1, -0.1):
+            place = pin.SE3(np.eye(3), np.array([0.02 * way, y, 0.0]))
+            wheel = model.addJoint(truck, pin.JointModelRY(), place, f"wheel {x} {y}")
+            inertia = pin.Inertia(0.3, np.zeros(3), np.diag([1e-3, 2e-3, 1e-3]))
+            model.appendBodyToJoint(wheel, inertia, pin.SE3.Identity())
+            wheels.append(wheel)
+    scene = pc.Scene(model)
+    slope = pin.utils.rotate("y", rng.uniform(-0.2, 0.2)) @ pin.utils.rotate("x", rng.uniform(-0.1, 0.1))
+    floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(slope, np.zeros(3)))
+    upright = pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
+    for i, wheel in enumerate(wheels):
+        rim = scene.add_contour(f"rim {i}", pc.Circle(0.05), model.names[wheel], upright)
+        mu = rng.uniform(0.05, 0.9)
+        law = pc.Stribeck(mu, 1.3 * mu, 0.1) if rng.random() < 0.5 else pc.Coulomb(mu)
+        scene.add_contact(f"wheel {i}", floor, rim, friction=law)
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    q[:3], q[3:7], v[0] = slope @ [0.0, 0.0, 0.05], pin.Quaternion(slope).coeffs(), rng.uniform(0.5, 4.0)
+    for wheel in wheels:
+        v[model.joints[wheel].idx_v] = v[0] / 0.05 * rng.uniform(0.5, 1.5)
+    v[[6, 9]] = 0.3 * rng.normal(size=2)
+    return scene, scene.initial_state(q, v, max_gap=0.3)
+
+
+# slip that jams and goes on in another direction, with more friction where it is slower, or ends; before, runs ended
+# there with a status (858, 1346), or with all slips stopped (93)
+@pytest.mark.parametrize(
+    ("seed", "jams"), [(93, 6.2e-4), (858, 4.79e-3), (1346, 2.58e-3), (2057, 2.0e-3), (2471, 9.9e-4), (2927, 1.6e-3)]
+)
+def test_jams_of_skateboards_are_those_of_short_steps(seed, jams):
+    scene, state = skateboard(seed)
+    near = pc.simulate(scene, state, jams - 1e-4).state(-1)
+    after = [
+        pc.simulate(scene, near, 2e-4, **options)
+        for options in ({}, {"rtol": 1e-10, "atol": 1e-12}, {"method": "Moreau", "dt": 1e-6})
+    ]
+    assert [run.status for run in after] == [0, 0, 0]
+    assert max(run.contacts[name].normal_force.max() for run in after[:2] for name in scene.contacts) > 1e3
+    # wheels turn by up to 1e2 rad/s; the accuracy of steps of a microsecond
+    for run in after[:2]:
+        np.testing.assert_allclose(run.v[-1], after[2].v[-1], rtol=0.0, atol=1e-4)

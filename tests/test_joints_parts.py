@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -69,6 +70,20 @@ def test_joint_limits_of_a_model():
         model.lowerDryFrictionLimit[8], model.upperDryFrictionLimit[8] = low, high
         with pytest.raises(pc.ModelError, match="lift"):
             joint_limits(model)
+
+
+def test_friction_of_one_direction_is_told():
+    """As `model.friction` sets it, which is the upper limit alone."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.upperDryFrictionLimit[:] = 0.5
+    with pytest.warns(UserWarning, match=r"hinge.*0 to 0\.5.*lowerDryFrictionLimit"):
+        joint_limits(model)
+    model.lowerDryFrictionLimit[:] = -0.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint_limits(model)
 
 
 def test_states_beyond_limits_are_named():

@@ -227,3 +227,27 @@ def test_no_force_across_a_mechanism(shape, angles, swapped):
     first = next((event.time for event in run.events if event.kind in ("slip", "separate")), 0.5)
     assert holds(first - 1e-6)
     assert first == 0.5 or not holds(first + 1e-6)
+
+
+def test_a_nut_that_turns_fast_on_its_screw():
+    """The normal of the helix that points to its axis moves nothing where the nut is on it, but at places beside: long
+    steps, which nothing else limits, have to be shorter."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        radius, mass = 10.0 ** rng.uniform(-2.0, 0.0), rng.uniform(0.3, 3.0)
+        lead, moment = radius * rng.uniform(0.05, 2.0) * rng.choice([-1, 1]), mass * radius**2 * rng.uniform(0.3, 3.0)
+        model = pin.Model()
+        along = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "along")
+        about = model.addJoint(along, pin.JointModelRZ(), pin.SE3.Identity(), "about")
+        model.appendBodyToJoint(about, pin.Inertia(mass, np.zeros(3), moment * np.eye(3)), pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), np.array([radius, 0.0, 0.0]))
+        model.addFrame(pin.Frame("tip", about, place, pin.FrameType.OP_FRAME))
+        scene = pc.Scene(model)
+        helix, tip = pc.Helix(radius, 2.0 * math.pi * lead), scene.add_contour("tip", pc.Point(), "tip")
+        scene.add_contact("c", scene.add_contour("helix", helix), tip, friction=pc.Coulomb(0.3))
+        turns = rng.uniform(20.0, 100.0)
+        state = scene.initial_state([0.0, 0.0], [lead * turns, turns])
+        run = pc.simulate(scene, state, 0.3)
+        assert run.status == 0, run.message
+        exact = pc.simulate(scene, state, 0.3, method="RK45", max_step=1e-3, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(run.q[-1], exact.q[-1], rtol=1e-5, atol=1e-8)

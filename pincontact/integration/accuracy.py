@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..geometry.patterns import ON_CURVE
 from ..layout import (
     END_MARGIN,
+    FREE,
     LENGTH,
     MODE,
     MU,
+    PATTERN,
     SLIPPING,
     START_RATE,
     START_SPEED,
@@ -53,6 +56,8 @@ _RESOLVED_VISCOUS = 1e-3
 # Round-off of speeds, against 1 or the largest velocity.
 _SPEED_ROUND_OFF = 1e-15
 
+# Part of the size of a contact along which normals of a curve turn.
+_TURNS = 1e-2
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
 # there.
 _NEXT_TO_NOTHING = 1e-6
@@ -151,6 +156,14 @@ def held_up(system: System) -> list[int]:
     """Contacts of ideal rolling that slide held up by friction alone."""
     modes, mu = system.modes.tolist(), system.contact_real[:, MU].tolist()
     return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
+
+
+def turns_along_curves(system: System, step: float) -> bool:
+    """Whether a point slides along a curve so far in a step of this size in s that its normals turn: one of them may be
+    redundant at the end of the step and not on the way."""
+    closed = np.flatnonzero((system.contact_int[: system.nc, PATTERN] == ON_CURVE) & (system.modes != FREE))
+    ways = step * np.linalg.norm(system.slip[closed], axis=1)
+    return bool((ways > _TURNS * system.contact_real[closed, LENGTH]).any())
 
 
 def may_stop(system: System) -> list[int]:

@@ -24,7 +24,7 @@ from ..layout import (
     NORMAL_EVENT,
     OK,
 )
-from .accuracy import held_up
+from .accuracy import held_up, turns_along_curves
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .ends import stays_within
@@ -411,8 +411,9 @@ class Driver:
 
     def _may_close(self, step: float) -> bool:
         """Whether a shorter step may be projected where this one may not: its error was larger than was known, as over
-        knots of a contour, and no constraint next to redundant is in its way."""
-        return self._may_be_shorter(step) and self.system.counters.row_rank == self.system.counters.row_count
+        knots of a contour, and no constraint next to redundant is in its way, or is not in shorter ones."""
+        independent = self.system.counters.row_rank == self.system.counters.row_count
+        return self._may_be_shorter(step) and (independent or turns_along_curves(self.system, step))
 
     def _may_be_shorter(self, step: float) -> bool:
         return not self.options.fixed_step and step > _RESTART * self.system.scalars.floor

@@ -41,7 +41,7 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # What stops takes so many times more where constraints are next to dependent than each of them does.
 _NEXT_TO_DEPENDENT = 1e2
-# Slips that change by less than this part of the fastest one have not jammed: what accelerates in a short time does that.
+# Slips that change by less than this part of the fastest one have not jammed: accelerations do that in a short time.
 _LEAST_JAM = 1e-6
 # So often what has jammed does so again at once.
 _JAMS = 100

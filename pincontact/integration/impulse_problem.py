@@ -133,19 +133,22 @@ def _fill_row(system, step, u, row):
         restitution = step.restitution[unit.index] if unit.kind != ON_JOINT else 0.0
         _set_impact(unit, start, inner(line, step.transported_trend, nv), restitution, step.numbers.h)
     whiten(system.factor, system.parents, nv, line, line)
-    whole = inner(line, line, nv)
+    whole, terms = inner(line, line, nv), abs(start) + abs(gain)
     for j in range(m):
         equation = step.equations[j]
         part = inner(line, equation, nv)
         overlap[j] = part
         b[r] += part * step.equation_share[j]
+        terms += abs(part * step.equation_share[j])
         beyond += part * step.equation_beyond[j]
         for k in range(nv):
             line[k] -= part * equation[k]
     step.beyond[r, 0] = beyond
     if m > 0 and whole > 0.0 and inner(line, line, nv) <= REDUNDANT * REDUNDANT * whole:
-        # the equations say it, too: what is left of it is round-off (what no joint moves they say nothing of)
-        b[r] = 0.0
+        # the equations say it, too: what is left of it is round-off (what no joint moves they say nothing of), but for
+        # slip that they leave to drives
+        if row == 2 or abs(b[r]) <= REDUNDANT * terms:
+            b[r] = 0.0
         for k in range(nv):
             line[k] = 0.0
         if row == 2 and unit.kind == ON_CONTACT:

@@ -50,6 +50,8 @@ LARGE_FRICTION = 1e4
 _INFINITE = 1e16
 # Smaller ones, by which forces come to those of that one: as friction doubles, a load that is left halves.
 _GROWING = tuple(2.0**k for k in range(14))
+# A load that is less than so many times that at which it slips is one at which it slips.
+_AT_LIMIT = 3.0
 # Normal forces whose choices of loaded ones are all tried, without and with discs.
 _TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocity of what slides, in units of the largest acceleration without forces, in the symmetric problem.
@@ -266,10 +268,13 @@ def _grown(problem: Loads, forces: np.ndarray) -> np.ndarray:
     The direction of friction changes all at once where next to no load is left, and steps from afar go to and fro.
     """
     solver, unbounded = LoadSolver(), np.isinf(problem.mu)
-    for large in _GROWING:
+    for large in (*_GROWING, LARGE_FRICTION):
         grown = replace(problem, mu=np.where(unbounded, large, problem.mu))
         scaled = ScaledLoads(grown)
-        y, residual = scaled.newton(scaled.unknowns(forces), halved=True)
+        # what is left of the loads of what slips goes with the inverse of friction
+        start, least = forces.copy(), np.linalg.norm(forces.reshape(-1, 3)[:, :2], axis=1) / large
+        start[2::3] = np.where(unbounded & (forces[2::3] < _AT_LIMIT * least), least, forces[2::3])
+        y, residual = scaled.newton(scaled.unknowns(start), halved=True)
         if residual <= TOLERANCE and not scaled.is_lost(y):
             forces = scaled.forces(y)
         elif solver.solve(grown, forces, lambda speed: None):

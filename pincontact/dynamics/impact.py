@@ -7,6 +7,7 @@ joints' ways take part as normals, without restitution. Dry joint friction is a 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -26,6 +27,7 @@ from ..layout import (
     MOTION_KIND,
     MU,
     MU_STATIC,
+    SLIPPING,
     TANGENTS,
     TIME_DEPENDENT,
 )
@@ -86,13 +88,7 @@ def apply_impact(
     y: np.ndarray | None
     if jammed:
         pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
-        if pushed.solve(solver, 1.0) is None:
-            return None
-        # what it would add parts no bodies
-        y = problem.take(problem.near(pushed.forces))
-        loaded = 3 * np.flatnonzero((problem.normal > 0.0) & (problem.forces[2::3] > 0.0)) + 2
-        rows, parting = problem.reduced[:, loaded], (problem.gram @ problem.forces + problem.base)[loaded]
-        y -= np.linalg.lstsq(rows.T, parting, rcond=REDUNDANT)[0]
+        y = problem.jam(solver, pushed)
     else:
         y = problem.solve(solver, 1.0)
     kept = 1.0
@@ -121,7 +117,10 @@ def crushing_items(system: System, closed: list[int], ends: list[int]) -> list[i
 
 
 class _Problem(ContactProblem):
-    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-)."""
+    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-).
+
+    slip (3n,): of contacts that slide with two tangents, along these; zero elsewhere.
+    """
 
     def __init__(
         self,
@@ -161,7 +160,10 @@ class _Problem(ContactProblem):
         for c, u in self.units.items():
             if self.normal[u] and c < system.nc:
                 self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
-        self.forces = np.zeros(self.before.size)
+        self.forces, self.slip = np.zeros((2, self.before.size))
+        for c, u in self.units.items():
+            if c < system.nc and integers[c, MODE] == SLIPPING and integers[c, TANGENTS] == 2 and mu[c] < math.inf:
+                self.slip[3 * u : 3 * u + 2] = self.before[3 * u : 3 * u + 2]
         self._keep_within_reach(_AGREES * (1.0 + float(np.abs(system.v).max(initial=0.0))))
         sides = [2 * c + side for c in closed for side in range(2)]
         self.driven = any(
@@ -195,9 +197,35 @@ class _Problem(ContactProblem):
                 self._choose(b, mu, modes)
                 break
             mu[slips] = self.sliding[slips]
-        return self.take(self.forces)
+        return self._y()
 
-    def near(self, forces: np.ndarray) -> np.ndarray:
+    def jam(self, solver: ContactSolver, pushed: _Problem) -> np.ndarray | None:
+        """y of the solution near to that of the problem with what accelerates, or None.
+
+        As in time stepping, slip that goes on is opposed along the mean of what it is before and after; along the
+        latter, where some of it ends or turns back.
+        """
+        for slip in (self.slip, np.zeros(self.base.size)):
+            for problem in (self, pushed):
+                problem.base += slip
+            found = pushed.solve(solver, 1.0) is not None
+            if found:
+                self.forces = self._near(pushed.forces)
+            for problem in (self, pushed):
+                problem.base -= slip
+            after = (pushed.gram @ pushed.forces + pushed.base) * (slip != 0.0)
+            along = np.einsum("ij,ij->i", after.reshape(-1, 3), slip.reshape(-1, 3))
+            if found and (along[slip.reshape(-1, 3).any(axis=1)] > 0.0).all():
+                break
+        if not found:
+            return None
+        # what accelerates parts no bodies
+        loaded = 3 * np.flatnonzero((self.normal > 0.0) & (self.forces[2::3] > 0.0)) + 2
+        rows, parting = self.reduced[:, loaded], (self.gram @ self.forces + self.base)[loaded]
+        y: np.ndarray = self._y() - np.linalg.lstsq(rows.T, parting, rcond=REDUNDANT)[0]
+        return y
+
+    def _near(self, forces: np.ndarray) -> np.ndarray:
         """Impulses (3n,) of a solution near to these, which are those of a little other velocities; else these. No
         impulses at all may be a solution, too."""
         if not forces.size:
@@ -206,10 +234,9 @@ class _Problem(ContactProblem):
         change = np.abs(found - forces).max(initial=0.0)
         return found if residual <= TOLERANCE and change <= _NEAR * np.abs(forces).max(initial=0.0) else forces
 
-    def take(self, forces: np.ndarray) -> np.ndarray:
-        """y of these impulses (3n,)."""
-        self.forces = forces
-        return self.start + self.reduced @ forces
+    def _y(self) -> np.ndarray:
+        """y of the present impulses."""
+        return self.start + self.reduced @ self.forces
 
     def _let_unpressed_go(
         self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray, modes: np.ndarray

@@ -107,7 +107,7 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
         """
         system = self.system
         decision = self._decide(t, undecided, evaluate, beyond, status, ahead)
-        if decision.status > EVENT:
+        if decision.status > EVENT or not self._rolling_unloaded():
             return decision
         found, forces = self._modes(), self.reference()
         lost = self.lose_friction(t, evaluate)
@@ -125,7 +125,10 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
     def lose_friction(self, t: float, evaluate: Callable[[float], int]) -> list[int]:
         """Let ideal rolling that has a tangential force, but no load in the last evaluation go on without friction,
         which no finite coefficient has there: where it then begins to slip, and takes no load, either."""
-        unloaded, given = self._rolling_unloaded(), self._modes()
+        unloaded = self._rolling_unloaded()
+        if not unloaded:
+            return []
+        given = self._modes()
         while unloaded:
             self.system.contact_int[unloaded, MODE] = FRICTIONLESS
             found = evaluate(t) <= EVENT
@@ -150,14 +153,14 @@ class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
 
     def _rolling_unloaded(self) -> list[int]:
         """Ideal rolling that has a tangential force and next to no load in the last evaluation."""
-        system = self.system
-        found = []
+        system, found = self.system, []
+        integers, functions = system.contact_int, system.event_functions
         for c in system.closed():
-            sticks = system.contact_int[c, MODE] == STICK and system.contact_int[c, UNILATERAL]
-            if sticks and math.isinf(system.contact_real[c, MU_STATIC]):
+            if math.isinf(system.contact_real.item(c, MU_STATIC)) and integers[c, MODE] == STICK:
+                first, second, load = system.force[c].tolist()
                 # times at which loads vanish are known to a part of this
-                least = float(np.hypot(*system.force[c, :2])) / IDEAL_FRICTION
-                if abs(system.force[c, 2]) < 2.0 * least and system.event_functions[c, NORMAL_EVENT] < 0.5 * least:
+                least = math.hypot(first, second) / IDEAL_FRICTION
+                if integers[c, UNILATERAL] and abs(load) < 2.0 * least and functions[c, NORMAL_EVENT] < 0.5 * least:
                     found.append(c)
         return found
 

@@ -101,7 +101,7 @@ def hold_without_friction(system, n):
         if slips(system, system.row_index[p, 0]) != shared or (shared and not cannot_open(system, p)):
             continue
         pivot = left[p, p]
-        if not pivot > (COMMON_LIMIT if shared else RANK_TOLERANCE) * whole[p, n]:
+        if not pivot > max((COMMON_LIMIT if shared else RANK_TOLERANCE) * whole[p, n], 0.0):
             if shared:
                 return 0.0
             continue

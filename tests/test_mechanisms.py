@@ -1,11 +1,13 @@
 """Several contacts at once, redundant ones among them: gears, an axle, a ball between plates, with motions known in
 closed form."""
 
+import itertools
 import math
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 
 import pincontact as pc
 
@@ -277,3 +279,80 @@ def test_what_a_lock_takes_is_not_lost():
     scene.add_contact("c", scene.add_contour("tip", pc.Point(), "tip"), wire, bilateral=True)
     state = scene.initial_state([0.5, 0.135, 0.0], [1.0, 0.5, 0.0], max_gap=0.1)
     np.testing.assert_allclose(state.v[1] / state.v[0], state.q[0], rtol=0.0, atol=1e-12)
+
+
+def bar_in_slots(angle, between, mu, turns, centre, moment):
+    """A bar of 1 m and 1 kg whose ends slide in two slots, at this angle to each other, with friction; and its angular
+    acceleration at (angle, rate) by Newton and Euler's equations, of all signs of the two loads."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, -9.81, 0.0])
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "bar")
+    inertia = pin.Inertia(1.0, np.array([*centre, 0.0]), np.diag([0.05, 0.05, moment]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    scene = pc.Scene(model)
+    for i in range(2):
+        place = pin.SE3(np.eye(3), np.array([i - 0.5, 0.0, 0.0]))
+        model.addFrame(pin.Frame(f"end {i}", joint, place, pin.FrameType.OP_FRAME))
+        turned = pin.SE3(pin.utils.rotate("z", between * i), np.zeros(3))
+        slot = scene.add_contour(f"slot {i}", pc.Line(), placement=turned)
+        end = scene.add_contour(f"end {i}", pc.Point(), f"end {i}")
+        scene.add_contact(f"c{i}", slot, end, friction=pc.Coulomb(mu[i]), bilateral=True)
+    away = 1.0 / math.tan(between)
+    along = np.array([[1.0, 0.0], [math.cos(between), math.sin(between)]])
+
+    def middle(theta):
+        c, s = math.cos(theta), math.sin(theta)
+        return [np.array(p) for p in ((away * s - 0.5 * c, 0.5 * s), (away * c + 0.5 * s, 0.5 * c))]
+
+    def accelerations(theta, rate):
+        c, s = math.cos(theta), math.sin(theta)
+        rotation, turning = np.array([[c, -s], [s, c]]), np.array([[-s, -c], [c, -s]])
+        place, step = middle(theta)
+        found = []
+        for signs in itertools.product((1.0, -1.0), repeat=2):
+            matrix, right = np.zeros((3, 3)), np.zeros(3)
+            matrix[:2, 2], matrix[2, 2] = step + turning @ centre, moment
+            right[:2] = (place + rotation @ centre) * rate**2 - [0.0, 9.81]
+            for i, (t, end) in enumerate(zip(along, ([-0.5, 0.0], [0.5, 0.0]))):
+                slip = t @ (step + turning @ end) * rate
+                force = np.array([-t[1], t[0]]) - mu[i] * signs[i] * np.sign(slip) * t
+                lever = rotation @ (np.array(end) - centre)
+                matrix[:2, i], matrix[2, i] = -force, lever[1] * force[0] - lever[0] * force[1]
+            x = np.linalg.solve(matrix, right)
+            if (x[:2] * signs >= 0.0).all():
+                found.append(x)
+        return found
+
+    place, step = middle(angle)
+    c, s = math.cos(angle), math.sin(angle)
+    state = scene.initial_state([*place, c, s], [*(np.array([[c, s], [-s, c]]) @ step * turns), turns])
+    return scene, state, accelerations
+
+
+# in the course of these a diagonal element of the operator with friction is zero, its determinant positive
+@pytest.mark.parametrize(
+    "bar",
+    [
+        (2.477, 1.774, (0.12, 0.99), 4.65, (0.08, -0.05), 0.023),
+        (2.492, 2.307, (0.96, 0.89), -5.59, (0.22, -0.04), 0.068),
+    ],
+)
+def test_bars_in_slots_with_friction(bar):
+    scene, state, accelerations = bar_in_slots(*bar)
+
+    def rate(t, y):
+        (x,) = accelerations(*y)
+        return [y[1], x[2]]
+
+    exact = solve_ivp(rate, (0.0, 0.1), [bar[0], bar[3]], rtol=1e-11, atol=1e-12).y[:, -1]
+    (x,) = accelerations(*exact)
+    for options, accuracy in (({}, 1e-7), ({"method": "Moreau", "dt": 1e-4}, 1e-5)):
+        run = pc.simulate(scene, state, 0.1, **options)
+        assert run.status == 0, run.message
+        np.testing.assert_allclose(
+            [run.q[-1, 2], run.q[-1, 3]], [math.cos(exact[0]), math.sin(exact[0])], atol=accuracy
+        )
+        loads = [run.contacts[f"c{i}"].normal_force for i in range(2)]
+        assert np.isfinite(loads).all()
+        # the forces on the ends are along the slots' normals, those of the package on the other side
+        np.testing.assert_allclose([load[-1] for load in loads], -x[:2], rtol=1e3 * accuracy)

@@ -105,7 +105,7 @@ def joint_limits(model: pin.Model) -> list[JointLimit]:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
             if (low_force == 0.0) != (high_force == 0.0):
                 warnings.warn(
-                    f"joint {joint!r}: dry friction from {low_force:g} to {high_force:g} opposes motion one way only; "
+                    f"joint {joint!r}: dry friction from {low_force + 0.0:g} to {high_force:g} acts one way only; "
                     "set both lowerDryFrictionLimit and upperDryFrictionLimit (model.friction is the latter alone).",
                     stacklevel=2,
                 )

@@ -43,6 +43,8 @@ _LEAVING_SPEED = 1e-3 * REST_SPEED
 _NEXT_TO_DEPENDENT = 1e2
 # Slips that change by less than this part of the fastest one have not jammed: accelerations do that in a short time.
 _LEAST_JAM = 1e-6
+# Slip that friction slows so many times faster than anything else accelerates it is about to jam, or has.
+_JAMMED = 1e4
 # So often what has jammed does so again at once.
 _JAMS = 100
 # Slip this many times faster than a bounce goes on in its direction when friction of its impulse is taken from it.
@@ -221,9 +223,7 @@ class Impacts:
             changes.stop_jammed(t)
         else:
             changes.set_from_velocities(after_impact=True)
-        if not jammed:
-            # forces right after a jam are as large as can be, and end slips only in their first moments
-            self._end_short_motions(t, closed, ends)
+        self._end_short_motions(t, closed, ends)
         self._announce_opened(t, closed, touching, near)
         changes.count_loss(before)
         if deep:
@@ -511,9 +511,13 @@ class Impacts:
             changes.count_works(impact.contacts, impact.drives, impact.joints)
 
     def _stops_soon(self, c: int) -> bool:
-        """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
-        speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
-        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self._resolution(c, speed))
+        """Whether the slip of contact c ends in a distance that is shorter than positions are known to. Right behind a
+        jam forces are as large as can be, in their first moments, and tell nothing of it."""
+        system = self.system
+        speed, rate = system.contact_real[c, [SLIP_SPEED, SLIP_RATE]].tolist()
+        free = system.rows[c] @ system.free_acceleration + system.bias[c]
+        lasts = -rate <= _JAMMED * float(np.linalg.norm(free))
+        return bool(rate < 0.0 and lasts and speed * speed <= -2.0 * rate * self._resolution(c, speed))
 
     def _returns_soon(self, t: float, c: int) -> bool:
         """Whether contact c comes back from no further than gaps are known."""

@@ -516,7 +516,7 @@ class Impacts:
         system = self.system
         speed, rate = system.contact_real[c, [SLIP_SPEED, SLIP_RATE]].tolist()
         free = system.rows[c] @ system.free_acceleration + system.bias[c]
-        lasts = -rate <= _JAMMED * float(np.linalg.norm(free))
+        lasts = -rate <= _JAMMED * float(np.abs(free).max())
         return bool(rate < 0.0 and lasts and speed * speed <= -2.0 * rate * self._resolution(c, speed))
 
     def _returns_soon(self, t: float, c: int) -> bool:

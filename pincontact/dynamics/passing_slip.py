@@ -75,8 +75,9 @@ class PassingSlip:
         speed = self._speed(system.v)
         if not 0.0 < speed < math.inf:
             return None
+        given = system.rows, system.bias, system.row_index[:count], system.acceleration, system.free_acceleration
         # independent rows are held exactly
-        if count != system.counters.row_rank:
+        if count != system.counters.row_rank and not meets_all(*given):
             for c in contacts:
                 motion = self._held_by_others(c), system.free_acceleration, system.v
                 tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
@@ -180,6 +181,24 @@ def accelerates(rows, bias, acceleration, free, v, tangents, length):
     # by what forces do and by what turns: either may vanish, and not by round-off of rows that are zero
     rounding = ROW_ROUND_OFF * max(length, 1.0) * (largest_entry(free) + largest_entry(v) ** 2)
     return left > max(_UNHELD * (rate + turning**2 / length), rounding)
+
+
+@array_entry(REAL[:, :, ::1], _MATRIX, INTEGER[:, ::1], REAL[::1], REAL[::1], when=SEVERAL)
+def meets_all(rows, bias, index, acceleration, free):
+    """Whether an acceleration (nv,) gives all constrained rows of the last evaluation, of the items and rows of their
+    bases in index (count, 2), what they ask for; free (nv,): that without forces."""
+    met = True
+    for r in range(index.shape[0]):
+        c, along, largest = index[r, 0], bias[index[r, 0], index[r, 1]], 0.0
+        for k in range(free.shape[0]):
+            along += rows[c, index[r, 1], k] * acceleration[k]
+        for row in range(3):
+            size = abs(bias[c, row])
+            for k in range(free.shape[0]):
+                size += abs(rows[c, row, k] * free[k])
+            largest = max(largest, size)
+        met = met and abs(along) <= _UNHELD * largest
+    return met
 
 
 @array_entry(_MATRIX, INTEGER[:, ::1], INTEGER[::1], REAL[:, :, ::1], _MATRIX, REAL, _MATRIX, REAL[::1], INTEGER[::1])

@@ -557,3 +557,57 @@ def test_cells_that_show_bodies_apart_spare_newtons_method(monkeypatch):
         apart = sum(least > 0.0 for least, _ in told)
         assert apart > 5 and len(asked) == len(told) - apart
         assert all(least <= max(sampled, 0.0) for least, sampled in told)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK23", "Moreau"])
+def test_a_bump_that_grows_beside_is_told(method):
+    """How far points of a shape that changes may have moved is not known; where they have come is."""
+    radius, place, width, rate = 0.2, 0.17, 0.03, 0.3
+
+    def height(x, t):
+        return rate * t * np.exp(-(((x - place) / width) ** 2))
+
+    ground = pc.ParametricSurface(lambda u, v, t: (u, v, height(u, t)), ((-1.0, 1.0),) * 2)
+    scene = pc.Scene(body(pc.Sphere(radius)))
+    scene.add_contour("shape", pc.Sphere(radius), frame="body")
+    scene.add_contour("ground", ground)
+    scene.add_contact("c", "shape", "ground", friction=pc.Coulomb(0.6))
+    x = np.linspace(0.05, 0.4, 200_001)
+    touch = scipy.optimize.brentq(lambda t: np.hypot(x, height(x, t) - radius).min() - radius, 0.01, 1.0)
+    state = scene.initial_state(at(pc.Sphere(radius), 0.0, radius))
+    assert pc.simulate(scene, state, touch - 2e-3, method=method).status == 0
+    run = pc.simulate(scene, state, touch + 5e-3, method=method)
+    assert run.status == -3 and "another point" in run.message, run.message
+    assert abs(run.t[-1] - touch) < 3e-3
+
+
+@pytest.mark.parametrize(("method", "rtol"), [("RK45", 1e-9), ("DOP853", 1e-8), ("Moreau", 1e-8)])
+def test_the_far_side_of_a_shape_that_changes_is_no_second_place(method, rtol):
+    """A ring rolls on a torus that moves: by its formula, of which nothing else is known, and by a prescribed motion."""
+    amplitude, frequency = np.array([-1.2e-3, 3.2e-3, 1.7e-3]), 0.77
+
+    def torus(u, v, t):
+        x, y, z = (a * np.sin(2.0 * math.pi * frequency * t) for a in amplitude.tolist())
+        return (
+            (2.0 + 0.6 * np.cos(v)) * np.cos(u) + x,
+            (2.0 + 0.6 * np.cos(v)) * np.sin(u) + y,
+            0.6 * np.sin(v) + z,
+        )
+
+    ends = []
+    for formula in (True, False):
+        inertia = pin.Inertia(0.3, np.array([1e-3, -5e-3, 5e-3]), np.diag([1.32e-3, 1.23e-3, 1.3e-3]))
+        scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), inertia))
+        shape = pc.ParametricSurface(torus, ((-math.pi, math.pi),) * 2, (True, True)) if formula else pc.Torus(2.0, 0.6)
+        motion = None if formula else pc.HarmonicMotion(amplitude=amplitude, frequency=frequency)
+        placement = pin.SE3(pin.rpy.rpyToMatrix(-0.134, -0.045, 0.136), np.array([0.115, -0.072, 0.215]))
+        scene.add_contour("ring", pc.Circle(0.1), "body")
+        scene.add_contour("torus", shape, placement=placement, motion=motion)
+        scene.add_contact("c", "ring", "torus", friction=pc.Coulomb(0.2, 0.4))
+        q = np.array([2.754, -0.418, 0.355, -0.5256, 0.2685, -0.4528, 0.6683])
+        q[3:] /= np.linalg.norm(q[3:])
+        state = scene.initial_state(q, [-0.3, -0.43, -0.27, -0.09, 1.75, -1.53], free=["c"])
+        run = pc.simulate(scene, state, 0.4, method=method, rtol=rtol, atol=rtol / 100)
+        assert run.status == 0 and [event.kind for event in run.events][:1] == ["touch"], run.message
+        ends.append(run.q[-1])
+    np.testing.assert_allclose(*ends, atol=1e-6)

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 # How far bodies may move within a step where they are near, in radii of curvature.
 _NEAR = 0.25
+# A step that took bodies this many times as far as it was to is taken again.
+TOO_FAR = 2.0
 # How far one may go through nothing that is as thick as its radius of curvature says, in what they may move so.
 _THROUGH = 8.0
 # Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
@@ -294,7 +296,8 @@ class Nearness:
 
     def enters(self, t: float) -> Candidate | None:
         """Where bodies are inside each other at the evaluated state, beside the places that are taken; None where they
-        are not. They cannot have got there farther than they have moved since the last search, or samples show."""
+        are not. They cannot have got there farther than they have moved since the last search, or samples show; where
+        shapes change, than steps may go."""
         assert self.search is not None
         if self.crosses:
             moved = self.moved(t)
@@ -305,7 +308,8 @@ class Nearness:
         if not self.search.may_overlap():
             return None
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
-        deepest = max(self.moved(t), shallow) if self.distance > -math.inf else shallow
+        way = TOO_FAR * max(self.near, self.distance) if self.changing else self.moved(t)
+        deepest = max(way, shallow) if self.distance > -math.inf else shallow
         slack = float(self.system.gap_accuracy[self.c])
         apart = self.search.distance(t, places_of(self.system, self.taken, self.c))
         if apart > 0.0:

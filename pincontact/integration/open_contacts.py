@@ -40,7 +40,7 @@ from ..layout import (
 from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .contradictions import touch_elsewhere
-from .nearness import Drives, Nearness, Place, of_same_contours, touching_order
+from .nearness import TOO_FAR, Drives, Nearness, Place, of_same_contours, touching_order
 from .results import FLIES_THROUGH, TOUCHES_AROUND, TOUCHES_TWICE, TOUCHES_UNSEEN
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 
 # How far bodies may turn within a step where they are near, in rad: gaps are then seen wherever they may be negative.
 _TURN = 2.0
-# A step that took bodies this many times as far as it was to is taken again.
-_TOO_FAR = 2.0
 # How far inside a stationary pair of points may be, as a multiple of how far bodies went since they were apart: where
 # one enters beside it, farther.
 _DEEPER = 4.0
@@ -423,7 +421,7 @@ class OpenContacts:
             speed += drive
             system.contact_real[c, SPEEDING] = abs(speed - self._speeds[c]) / step
             way = max(speed, self._speeds[c]) * step
-            if way > _TOO_FAR * allowed or (known.crosses and known.moved(t) > known.beside):
+            if way > TOO_FAR * allowed or (known.crosses and known.moved(t) > known.beside):
                 self._cut = 0.5 * step
                 return False
             if known.crosses:

@@ -15,7 +15,18 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..contours import Circle, Contour, Ellipsoid, HeightField, Plane, Point, Sphere, Torus
+from ..contours import (
+    Circle,
+    Contour,
+    Cylinder,
+    Ellipsoid,
+    HeightField,
+    ParametricCurve,
+    Plane,
+    Point,
+    Sphere,
+    Torus,
+)
 from ..contours.base import LINE
 from ..layout import (
     CLOSED_FORM,
@@ -96,16 +107,19 @@ class _Survey(NamedTuple):
 
 class Whole:
     """A contour of finite extent as samples of its core, from which all that it has is as far as its rounding: the
-    centre of a ball, the centre circle of a torus, or itself. points (n, 3), parameters (n, 2), counts: samples along
-    each parameter, radius: of a sample's cell, in m; centre (3,), extent: of a ball around the core, in m; rounding in
-    m."""
+    centre of a ball, the centre circle of a torus, the axis of a cylinder where nothing can be within that
+    (`is_solid`), or itself. points (n, 3), parameters (n, 2), counts: samples along each parameter, radius: of a
+    sample's cell, in m; centre (3,), extent: of a ball around the core, in m; rounding in m."""
 
-    def __init__(self, contour: Contour, t: float) -> None:
+    def __init__(self, contour: Contour, t: float, is_solid: bool = False) -> None:
         self.contour, self.core, self.rounding = contour, contour, 0.0
         if isinstance(contour, Sphere):
             self.core, self.rounding = Point(), contour.shape[0]
         elif isinstance(contour, Torus):
             self.core, self.rounding = Circle(contour.shape[0]), contour.shape[1]
+        elif is_solid:
+            axis = ParametricCurve(lambda u: (0.0 * u, 0.0 * u, u), contour.domain[1])
+            self.core, self.rounding = axis, contour.shape[0]
         self.counts: tuple[int, ...] = (1,)
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
         if self.core.dimension > 0:
@@ -476,11 +490,12 @@ class NearestSearch:
         return found, SINGULAR in statuses
 
     def _facing(self, points: np.ndarray) -> np.ndarray:
-        """Parameters (n, 2) of the ball or the torus that is the whole contour at which it faces points (n, 3) in the
-        divided one's frame."""
+        """Parameters (n, 2) of the whole contour, which has a core, at which it faces points (n, 3) in the divided
+        one's frame."""
         rotation, centre = self.pose()
-        x, y, z = ((points - centre) @ rotation).T
-        return np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - self.whole.core.size)], axis=1)
+        x, y, z = ((points - centre) @ rotation + self.whole.centre).T
+        along = z if isinstance(self.whole.contour, Cylinder) else np.arctan2(z, np.hypot(x, y) - self.whole.core.size)
+        return np.stack([np.arctan2(y, x), along], axis=1)
 
 
 def _nearest_of(found: list[Candidate]) -> float:
@@ -489,8 +504,12 @@ def _nearest_of(found: list[Candidate]) -> float:
 
 
 def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:
-    """The smaller one of the contours that are bounded, and its side; None where none is."""
+    """The smaller one of the contours that are bounded, and its side; None where none is. Of cylinders it is the
+    thinner one, which may be within the other, but not the other within it."""
     bounded = [side for side in (0, 1) if np.isfinite(contours[side].domain).all()]
+    if len(bounded) == 2 and all(isinstance(each, Cylinder) and each.periodic[0] for each in contours):
+        side = int(contours[1].shape[0] < contours[0].shape[0])
+        return side, _whole(contours[side], 0.0, True)
     wholes = [(side, _whole(contours[side], _instant(contours[side], t))) for side in bounded]
     return min(wholes, key=lambda found: found[1].size, default=None)
 

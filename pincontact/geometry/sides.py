@@ -166,17 +166,18 @@ def crossings_apart(system: Workspace, c: int, candidates: list[Candidate]) -> l
 
 
 def side_of_all(single: Workspace, t: float) -> int:
-    """On which side of body 2 body 1 is, from which it is apart, as evaluated: where body 2 has no ends, that of any of
-    its points; 0 elsewhere."""
+    """On which side of body 2 body 1 is, from which it is apart, as evaluated, by any of its points: where body 2 has
+    no ends, or bends away from that point; 0 elsewhere."""
     contact, (own, other) = single.contacts[0], single.frames[:2]
     one, two = contact.body1.contour, contact.body2.contour
-    if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR) or np.isfinite(two.ends()).any():
+    if single.contact_int[0, PATTERN] not in (ON_SURFACE, PLANAR):
         return 0
     point = own[:3] @ one.point(middle_of_domains(contact)[: one.dimension].tolist(), t) + own[ORIGIN]
     local = other[:3].T @ (point - other[ORIGIN])
     _, values = nearest_point(two, local, t)
     normal = np.cross(values[1], values[2] if two.dimension == 2 else [0.0, 0.0, 1.0])
-    return int(np.sign(normal @ (local - values[0])))
+    side = int(np.sign(normal @ (local - values[0])))
+    return 0 if np.isfinite(two.ends()).any() and side != two.convex_side else side
 
 
 def middle_of_domains(contact: Contact) -> np.ndarray:

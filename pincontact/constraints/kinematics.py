@@ -19,6 +19,7 @@ from ..contours.evaluation import call_contour
 from ..geometry.carriers import OMEGA, ORIGIN, point_bias, point_velocity
 from ..geometry.frames import STEEP
 from ..geometry.location import (
+    CYLINDERS,
     DIFFERENCE,
     FREE_VECTORS,
     NEWTON_LIMIT,
@@ -34,6 +35,7 @@ from ..geometry.location import (
     cross_second,
     location_jacobian,
     location_residual,
+    nearest_of_cylinders,
     nearest_on_sphere,
     point_to_plane,
     rate_equations,
@@ -130,7 +132,7 @@ def measure(system, c):
 @kernel
 def locate_in_closed_form(system, c):
     """`locate` where a formula gives the contact coordinates: OK or SINGULAR."""
-    integers, location, scratch = system.contact_int[c], system.location[c], system.vectors[_A:_C]
+    integers, location, scratch = system.contact_int[c], system.location[c], system.vectors[_A : NORMAL_RATE + 1]
     system.counters.closed_count += 1
     one, two, form = 2 * c, 2 * c + 1, integers[CLOSED_FORM]
     side1, frame1, frame2 = system.side_int[one], system.frames[one], system.frames[two]
@@ -140,6 +142,8 @@ def locate_in_closed_form(system, c):
         found = round_on_plane(
             side1[KIND], side1[CHART], shape, frame1, frame2, integers[K2], branch, location, scratch
         )
+    elif form == CYLINDERS:
+        found = nearest_of_cylinders(frame1, frame2, location, scratch)
     elif form != POINT_ON_PLANE:
         charts = (side1[CHART], system.side_int[two, CHART])
         found = nearest_on_sphere(form, charts, frame1, frame2, integers[BRANCH], location, scratch)

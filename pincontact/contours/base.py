@@ -27,7 +27,7 @@ F, F_1, F_2, F_11, F_12, F_22, F_T, F_1T, F_2T, F_TT = range(DERIVATIVE_ROWS)
 
 # Shapes that compiled code tells apart: those with a closed form of the contact coordinates (see `geometry.location`)
 # or with several charts (see `charts`). All others are OTHER.
-OTHER, POINT, LINE, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION = range(8)
+OTHER, POINT, LINE, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION, CYLINDER = range(9)
 
 ALL = (-np.inf, np.inf)
 TURN = (-np.pi, np.pi)

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import ContourError
 from ..jit import kernel
-from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
+from .base import ALL, CYLINDER, ELLIPSOID, PLANE, SPHERE, TURN, Contour
 from .checks import interval, pair, positive
 from .curves import arc
 from .evaluation import contour_kernel
@@ -153,7 +153,7 @@ class Cylinder(Contour):
         (radius,) = positive("Cylinder", radius=radius)
         around, along = _pair("Cylinder", domain)
         turn, length = arc("Cylinder", "domain[0]", around), _along("Cylinder", "domain[1]", along)
-        super().__init__(shape=(radius, 0.0, 1.0), size=radius, **_straight(turn, length, length))
+        super().__init__(shape=(radius, 0.0, 1.0), size=radius, kind=CYLINDER, **_straight(turn, length, length))
 
 
 class Cone(Contour):

@@ -196,7 +196,8 @@ class System(Workspace):
             integers[UNILATERAL] = int(not contact.bilateral)
             integers[SIDE] = contact.side or 1
             integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
-            integers[CLOSED_FORM] = closed_form(contact.pattern.code, one.contour.kind, two.contour.kind)
+            kinds = one.contour.kind, two.contour.kind
+            integers[CLOSED_FORM] = closed_form(contact.pattern.code, *kinds, contact.bilateral)
             _map_friction(contact, integers, numbers)
             numbers[LENGTH] = characteristic_length(contact)
             numbers[OVERLAP] = numbers[LENGTH] * (_OVERLAP if integers[K1] else _OVERLAP_OF_POINTS)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..contours.base import ELLIPSE, ELLIPSOID, LINE, PLANE, POINT, SPHERE
+from ..contours.base import CYLINDER, ELLIPSE, ELLIPSOID, LINE, PLANE, POINT, SPHERE
 from ..jit import kernel
 from ..layout import K1, K2, LENGTH, PATTERN
 from .carriers import OMEGA, ORIGIN
@@ -25,18 +25,20 @@ NEWTON_STEP = 1e-8
 SINGULAR_LIMIT = 1e-7
 
 # A line in the plane of motion is like a plane across that.
-NO_CLOSED_FORM, POINT_ON_PLANE, ROUND_ON_PLANE, POINT_ON_SPHERE, SPHERE_ON_SPHERE = range(5)
+NO_CLOSED_FORM, POINT_ON_PLANE, ROUND_ON_PLANE, POINT_ON_SPHERE, SPHERE_ON_SPHERE, CYLINDERS = range(6)
 # Solutions of each closed form, as the branch that names one.
 BRANCHES = {
     POINT_ON_PLANE: (1,),
     ROUND_ON_PLANE: (-1, 1),
     POINT_ON_SPHERE: (-1, 1),
     SPHERE_ON_SPHERE: (-2, -1, 1, 2),
+    CYLINDERS: (1,),
 }
 
 
-def closed_form(pattern: int, kind1: int, kind2: int) -> int:
-    """Which closed form gives the contact coordinates of two kinds of contours in a pattern, if any."""
+def closed_form(pattern: int, kind1: int, kind2: int, bilateral: bool = False) -> int:
+    """Which closed form gives the contact coordinates of two kinds of contours in a pattern, if any. Of cylinders it is
+    that of what is beside each other, and has no others: of those within each other none would touch at one point."""
     is_flat = kind2 == PLANE or (kind2 == LINE and pattern == PLANAR)
     if is_flat and kind1 == POINT:
         return POINT_ON_PLANE
@@ -44,6 +46,8 @@ def closed_form(pattern: int, kind1: int, kind2: int) -> int:
         return ROUND_ON_PLANE
     if kind2 == SPHERE and kind1 in (POINT, SPHERE):
         return POINT_ON_SPHERE if kind1 == POINT else SPHERE_ON_SPHERE
+    if kind1 == kind2 == CYLINDER and not bilateral:
+        return CYLINDERS
     return NO_CLOSED_FORM
 
 
@@ -285,6 +289,31 @@ def nearest_on_sphere(form, charts, frame1, frame2, branch, location, scratch):
             for i in range(3):
                 local[i] = -local[i]
         _set_angles(charts[0], local, location[0:2])
+    return True
+
+
+@kernel
+def nearest_of_cylinders(frame1, frame2, location, scratch):
+    """Location of cylinders beside each other: on the line across both axes. Returns False where these are parallel."""
+    first, second, normal, apart, across = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    for i in range(3):
+        first[i], second[i], apart[i] = frame1[i, 2], frame2[i, 2], frame2[ORIGIN, i] - frame1[ORIGIN, i]
+    cross(first, second, normal)
+    square = dot(normal, normal)
+    if not square > SINGULAR_LIMIT:
+        return False
+    # apart = s_1 first - s_2 second + m normal
+    cross(apart, second, across)
+    location[1] = dot(across, normal) / square
+    cross(apart, first, across)
+    location[3] = dot(across, normal) / square
+    towards = 1.0 if dot(apart, normal) >= 0.0 else -1.0
+    for body in range(2):
+        direction, local = scratch[3], scratch[4]
+        for i in range(3):
+            direction[i] = (1 - 2 * body) * towards * normal[i]
+        rotate_back((frame1 if body == 0 else frame2)[0:3], direction, local)
+        location[2 * body] = unwrapped(math.atan2(local[1], local[0]), location[2 * body])
     return True
 
 

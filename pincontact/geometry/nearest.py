@@ -54,7 +54,7 @@ from .cells import (
     put_samples,
     search_workspace,
 )
-from .location import NO_CLOSED_FORM
+from .location import CYLINDERS, NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
 from .search import Candidate, ends_within, evaluated, grid, spaced, stationary_points
 
@@ -515,12 +515,12 @@ def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole
 
 
 def is_searched(system: Workspace, c: int) -> bool:
-    """Whether the nearest points of a contact have to be looked for: where no closed form gives them, and where lines
-    do not cross, which are near each other at one place only."""
+    """Whether the nearest points of a contact have to be looked for: where no closed form gives them, or not while axes
+    are parallel, and where lines do not cross, which are near each other at one place only."""
     contact, integers = system.contacts[c], system.contact_int[c]
     are_straight = contact.body1.contour.kind == contact.body2.contour.kind == LINE
     crosses = integers[PATTERN] == CROSSING_CURVES and are_straight
-    return bool(integers[CLOSED_FORM] == NO_CLOSED_FORM and not crosses)
+    return bool(integers[CLOSED_FORM] in (NO_CLOSED_FORM, CYLINDERS) and not crosses)
 
 
 def crosses_anywhere(system: Workspace, c: int) -> bool:

@@ -30,6 +30,8 @@ _PART = 256
 # Unbounded contours are sampled as far as the bodies' distance plus so many of their sizes; samples keep off the ends
 # of domains by this part of them.
 _WINDOW, _INSET = 2.0, 1e-3
+# Descents from the nearest sample to the nearest point: it is as near to it as rounding has it after a few, or almost.
+_DESCENTS = 30
 # At least so far, in m: two points at one place have neither size nor distance.
 _LEAST_WINDOW = 1e-3
 # Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
@@ -205,9 +207,11 @@ def comes_back(system: Workspace, found: Candidate) -> bool:
 
 
 def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
-    """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
+    """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned; first the nearest
+    point to one that is given."""
     contact = system.contacts[0]
-    poses = [pose_of(system.data, body, t) for body in (contact.body1, contact.body2)]
+    bodies = contact.body1, contact.body2
+    poses = [pose_of(system.data, body, t) for body in bodies]
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
     window = distance + _WINDOW * sum(sizes) + _LEAST_WINDOW
@@ -223,7 +227,13 @@ def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
         normals = second[2]
         for tangent in first[3]:
             misaligned = np.maximum(misaligned, np.abs(np.einsum("ik,ijk->ij", tangent, normals[indices])))
-    seeds: list[np.ndarray] = []
+    seeds = []
+    for own, other in ((0, 1), (1, 0)):
+        given, wanted = (slice(2 * i, 2 * i + bodies[i].contour.dimension) for i in (own, other))
+        if np.isfinite(guess[given]).all() and np.isnan(guess[wanted]).any():
+            point = poses[own].act(bodies[own].contour.point(guess[given].tolist(), t))
+            seeds.append(guess.copy())
+            seeds[-1][wanted] = nearest_point(bodies[other].contour, poses[other].actInv(point), t)[0]
     # the samples of both contours, pair by pair
     ones, twos = np.arange(len(distances)).repeat(neighbours), indices.ravel()
     where = np.hstack([first[1][ones], second[1][twos]])
@@ -323,6 +333,30 @@ def sample(
     elif contour.dimension == 1:
         normals = np.cross(tangents[0], rotation[:, 2])
     return parameters, points, _unit(normals), tangents
+
+
+def nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (k,) of a contour's nearest point to one (3,) in its frame, its ends included, and f and its
+    derivatives (10, 3) there: from the nearest sample down."""
+    k = contour.dimension
+    parameters, points, _, _ = sample(contour, pin.SE3.Identity(), t, 2.0 * float(np.linalg.norm(point)) + 1.0)
+    low, high = contour.ends().reshape(2, 2)[:k].T
+    # poles, which are no ends, are as near as samples are
+    low = np.where(np.isinf(low) & ~np.array(contour.periodic[:k]), parameters[:, :k].min(axis=0), low)
+    high = np.where(np.isinf(high) & ~np.array(contour.periodic[:k]), parameters[:, :k].max(axis=0), high)
+    u = np.clip(parameters[int(np.argmin(np.linalg.norm(points - point, axis=1)))][:k], low, high)
+    values, factor = contour.evaluate(u.tolist(), t), 1.0
+    for _ in range(_DESCENTS):
+        way = point - values[0]
+        new = np.clip(u + factor * np.linalg.lstsq(values[1 : 1 + k].T, way, rcond=None)[0], low, high)
+        if (new == u).all():
+            break
+        there = contour.evaluate(new.tolist(), t)
+        if np.linalg.norm(point - there[0]) < np.linalg.norm(way):
+            u, values = new, there
+        else:
+            factor *= 0.5
+    return u, values
 
 
 def grid(axes: list[np.ndarray]) -> np.ndarray:

@@ -9,21 +9,17 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 
 from ..contacts import Contact, may_be_beside
-from ..contours import Contour
 from ..contours.base import F_T, F_TT
 from ..layout import CHART, CLOSED_FORM, K1, LENGTH, OVERLAP, PATTERN, SAME_PLACE, SIDE
 from ..workspace import Workspace
 from .carriers import OMEGA, ORIGIN, VELOCITY
 from .location import NO_CLOSED_FORM
 from .patterns import ON_SURFACE, PLANAR
-from .search import Candidate, sample
+from .search import Candidate, nearest_point
 from .single_touch import middle_of, reach_of
 
-# Descents from the nearest sample to the nearest point: it is as near to it as rounding has it after a few, or almost.
-_DESCENTS = 30
 # A contact is nowhere near an end if it is so many times farther from it than the body: or on the other side of an arc.
 _FAR = 2.0
 # Curves that are this part of a contact's length apart may touch.
@@ -105,30 +101,6 @@ class Beside:
             return False
         away = self.system.location[self.c, 2:][: self.piece.dimension] - self.nearest
         return not float(np.abs(away * self._speeds).sum()) <= _FAR * (self.distance + self._reach)
-
-
-def nearest_point(contour: Contour, point: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (k,) of a contour's nearest point to one (3,) in its frame, its ends included, and f and its
-    derivatives (10, 3) there: from the nearest sample down."""
-    k = contour.dimension
-    parameters, points, _, _ = sample(contour, pin.SE3.Identity(), t, 2.0 * float(np.linalg.norm(point)) + 1.0)
-    low, high = contour.ends().reshape(2, 2)[:k].T
-    # poles, which are no ends, are as near as samples are
-    low = np.where(np.isinf(low) & ~np.array(contour.periodic[:k]), parameters[:, :k].min(axis=0), low)
-    high = np.where(np.isinf(high) & ~np.array(contour.periodic[:k]), parameters[:, :k].max(axis=0), high)
-    u = np.clip(parameters[int(np.argmin(np.linalg.norm(points - point, axis=1)))][:k], low, high)
-    values, factor = contour.evaluate(u.tolist(), t), 1.0
-    for _ in range(_DESCENTS):
-        way = point - values[0]
-        new = np.clip(u + factor * np.linalg.lstsq(values[1 : 1 + k].T, way, rcond=None)[0], low, high)
-        if (new == u).all():
-            break
-        there = contour.evaluate(new.tolist(), t)
-        if np.linalg.norm(point - there[0]) < np.linalg.norm(way):
-            u, values = new, there
-        else:
-            factor *= 0.5
-    return u, values
 
 
 def side_of_crossing(system: Workspace, c: int) -> int:

@@ -183,3 +183,50 @@ def test_zeros_beside_an_impact_are_found_once(after, direction, jump):
         run = pc.simulate(scene, state, zero + 0.05, events=event, breakpoints=jumps)
         twice += sum(one.kind == "user" for one in run.events) != (direction >= 0.0)
     assert twice == 0
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
+@pytest.mark.parametrize("speed", [1e-7, 1e-5, 1e-3, 1e-2, 5e-2])
+@pytest.mark.parametrize("rate", [5.0, 100.0])
+def test_zeros_as_a_slip_begins(rate, speed, method):
+    """A force grows until a mass slips, v = rate (t - start)^2 / 2: the speed is there when it is, once; a run that
+    ends there has it then."""
+    mu = 0.4
+    scene = mass_on_a_plane(pc.Coulomb(mu))
+    towards = np.array([0.6, 0.8, 0.0])
+
+    def control(t, q, v):
+        return rate * t * towards
+
+    def event(t, q, v):
+        return float(towards @ v) - speed
+
+    time = mu * G / rate + math.sqrt(2.0 * speed / rate)
+    for terminal in (False, True):
+        event.terminal = terminal
+        state = scene.initial_state(np.zeros(3))
+        run = pc.simulate(scene, state, time + 0.1, method=method, control=control, events=event)
+        zeros = [found.time for found in run.events if found.kind == "user"]
+        assert len(zeros) == 1 and run.status == int(terminal), run.message
+        # the seed of a slip, 1e-4 s in units of its own growth, is resolved to its square
+        assert abs(zeros[0] - time) < 2e-6
+        if terminal:
+            assert run.t[-1] == zeros[0] and abs(towards @ run.v[-1] - speed) < 1e-9 + 2e-6 * math.sqrt(
+                2 * speed * rate
+            )
+
+
+def test_zeros_come_in_pairs_as_a_slip_begins():
+    """A function that goes below zero and back within the first step of a slip."""
+    mu, rate, low, high = 0.4, 5.0, 1e-3, 1.1e-3
+    scene = mass_on_a_plane(pc.Coulomb(mu))
+    run = pc.simulate(
+        scene,
+        scene.initial_state(np.zeros(3)),
+        1.0,
+        control=lambda t, q, v: np.array([rate * t, 0.0, 0.0]),
+        events=lambda t, q, v: (v[0] - low) * (v[0] - high) / (low * high),
+    )
+    zeros = [found.time for found in run.events if found.kind == "user"]
+    start = mu * G / rate
+    np.testing.assert_allclose(zeros, [start + math.sqrt(2.0 * speed / rate) for speed in (low, high)], atol=1e-6)

@@ -92,7 +92,7 @@ class Driver:
         self.users = UserEvents(rk, users)
         self.outputs = Outputs(rk, record, flush, options.t_eval, options.pieces)
         self.slips = SlipSteps(rk, transitions, self.outputs, self._after_way)
-        transitions.onset.emit = self.outputs.write_short_step
+        transitions.onset.emit = self._pass_short_step
         self.options = options
         self.progress: Callable[[float], None] | None = None
         self._doubts = 0
@@ -161,7 +161,7 @@ class Driver:
         self.outputs.write_state(t)
         struck = None
         if t_end > t:
-            self._allow_start(t, 0.0 if self.users else self.options.fixed_step or math.inf)
+            self._allow_start(t, self.options.fixed_step or math.inf)
             self.users.update(t)
             struck = self.transitions.strike(t)
             t = self.transitions.onset.start(t) if struck is None else struck
@@ -490,6 +490,20 @@ class Driver:
             self.transitions.reports.events.sort(key=lambda event: event.time)
             self.rk.load(self.system.state)
 
+    def _pass_short_step(self, t: float, step: float) -> None:
+        """Users' events and outputs in the last trial step, by which slip that starts at t is taken on."""
+        if self.users:
+            # the state at t may have jumped
+            self.rk.load(self.system.state)
+            for user in self.users.jumped(t):
+                self._announce_user_event(t, user)
+            self.rk.load(self.system.new_state)
+            if self.users.may_cross(t, step):
+                if not self.rk.interpolate(t, step):
+                    raise no_dense_output(t)
+                self._announce_user_events(t, step, math.inf)
+        self.outputs.write_short_step(t, step)
+
     def _announce_user_event(self, t: float, user: UserEvent) -> None:
         """Note a zero of a user's function in the loaded state; a terminal one raises Stop."""
         self.transitions.reports.announce(t, None, "user", user.index)
@@ -568,8 +582,9 @@ class Driver:
         self._allow_start(time, step)
         try:
             after = self.transitions.switch(time, crossing.c, crossing.kind, chosen)
-        except Stop:
-            self.outputs.write_end(time)
+        except Stop as stop:
+            if stop.code != TERMINATED:
+                self.outputs.write_end(time)
             raise
         self._after(after, jumps=True)
         return after, True

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from calling import from_python
 from test_zeros import Looked, particle
 
@@ -241,3 +242,37 @@ def test_a_run_that_ends_where_slip_turns_round_ends_there():
         # and goes on from there
         rest = pc.simulate(scene, run.state(-1), 1.0 - event.time)
         np.testing.assert_allclose(rest.q[-1], whole.q[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 1e-9, 1e-6, 1e-3])
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+def test_a_body_spins_on_while_a_slip_beside_ends(gravity, rtol):
+    """Under next to no load slip ends slowly, and a straight line to its end would be a long one. The other body's
+    angular velocity is that of Euler's equations, integrated by SciPy; slip that is round-off has ended."""
+    moments = np.array([1e-3, 2e-3, 2.5e-3])
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        model = pin.Model()
+        model.gravity.linear = np.array([0.0, 0.0, -gravity])
+        for name, inertia in (
+            ("free", pin.Inertia(0.5, np.zeros(3), np.diag(moments))),
+            ("ball", pin.Inertia(0.3, np.zeros(3), 8e-4 * np.eye(3))),
+        ):
+            joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+            model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+            model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        scene.add_contour("ball", pc.Sphere(0.1), "ball")
+        scene.add_contour("floor", pc.Plane())
+        scene.add_contact("c", "ball", "floor", friction=pc.Coulomb(0.9))
+        q, spin = pin.neutral(model), 6.0 * rng.normal(size=3)
+        q[2], q[9] = 5.0, 0.105
+        v = np.r_[rng.normal(size=3), spin, 0.1 * rng.normal(size=2), -0.3, rng.normal(size=3)]
+        run = pc.simulate(scene, scene.initial_state(q, v, free=["c"]), 0.1, rtol=rtol, atol=0.01 * rtol)
+        assert run.status == 0, run.message
+
+        def euler(t, w):
+            return np.cross(moments * w, w) / moments
+
+        exact = scipy.integrate.solve_ivp(euler, (0.0, 0.1), spin, rtol=1e-12, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose(run.v[-1, 3:6], exact, atol=1e3 * rtol)

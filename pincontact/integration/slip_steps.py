@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..layout import MODE, START_SPEED, STICK, STOP_ERROR
-from .accuracy import slip_is_ending
+from ..dynamics.directions import freeze_slip
+from ..layout import EVENT, MODE, START_SPEED, STICK, STOP_ERROR
+from .accuracy import slip_is_ending, speed_round_off
 from .outputs import Outputs
 from .runge_kutta import RungeKutta
 from .slip_at_ends import LEFT_OUT, doubled
@@ -23,6 +24,8 @@ _SLOW_STEPS, STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
+# A straight step that leaves out less than this part of what is allowed, by all that is known, is not looked at.
+_CLEARLY = 1e-2
 # What the end of slips may take from the velocity, in tolerances, and how often the speed that counts as ended is
 # halved at most where it would take more.
 _WORTH, _HALVINGS = 8.0, 20
@@ -87,7 +90,8 @@ class SlipSteps:
         stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
         straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
         c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
-        way = slips[c][0] / -slips[c][1]
+        # what is round-off has ended
+        way = slips[c][0] / -slips[c][1] if slips[c][0] > speed_round_off(system) else 0.0
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
         left = min(way, scalars.next_step, scalars.max_step, scalars.end - t)
         left = min(left, scalars.next_output - t, self.transitions.onset.until_touch())
@@ -105,12 +109,20 @@ class SlipSteps:
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
         stopped = system.state + left * system.slopes[0]
+        if left > 0.0 and self._bends(t, left, ended, stopped):
+            if slips[c][0] > further * slips[c][2]:
+                # steps of the method go nearer
+                system.contact_real[:, STOP_ERROR] = math.inf
+                return t, True
+            # as slow as it is it ends at once
+            left, stopped = 0.0, system.state.copy()
         worth = self._worth(t, left, contacts, stopped) / further if further >= 1.0 else 0.0
         if worth > _WORTH:
             system.counters.stalled = -min(math.ceil(math.log2(worth)), _HALVINGS)
             return t, False
         start = system.state.copy()
-        self.outputs.keep_end_of_slip(t, left, ended)
+        if left > 0.0:
+            self.outputs.keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(stopped)
@@ -118,6 +130,25 @@ class SlipSteps:
         after = self.transitions.come_to_rest(t + left, ended)
         self._accepted(after, t, start)
         return after, True
+
+    def _bends(self, t: float, left: float, ended: dict[int, np.ndarray], stopped: np.ndarray) -> bool:
+        """Whether anything moves so that a straight step from t to `stopped`, `left` s later, leaves out more than errors
+        of steps: half of what velocities and accelerations change by in it. The last evaluation is that at t. ended: slips
+        that go on up to there, with their directions."""
+        system, before = self.system, self.system.acceleration.copy()
+        # steps of the method resolve by how much accelerations change in one
+        most, step = max(map(abs, before.tolist())), min(system.scalars.next_step, 1.0)
+        if 0.5 * left * left * most <= _CLEARLY * step * system.scale.item(1):
+            return False
+        integers, numbers = system.contact_int.copy(), system.contact_real.copy()
+        for c, direction in ended.items():
+            freeze_slip(system, c, system.basis[c, :2] @ direction)
+        self.rk.load(stopped)
+        known = self.rk.evaluate(t + left) <= EVENT
+        left_out = 0.5 * left * np.maximum(left * np.abs(system.acceleration), np.abs(system.acceleration - before))
+        allowed = system.scale[1] + system.scale[0] * np.abs(system.v)
+        system.contact_int[:], system.contact_real[:] = integers, numbers
+        return not known or bool((left_out > allowed).any())
 
     def _worth(self, t: float, left: float, contacts: list[int], stopped: np.ndarray) -> float:
         """What the end of these slips, in the state `left` s after the accepted one at t, takes from the velocity, in

@@ -135,3 +135,45 @@ def test_parallel_ones_are_told_where_they_touch_along_a_line(method):
     assert run.status == -3 and "along a line" in run.message
     told = float(run.message.removeprefix("t = ").split()[0])
     assert run.t[-1] <= 0.1 + 1e-3 and abs(told - 0.1) < 1e-2
+
+
+@pytest.mark.parametrize(("method", "step"), [("DOP853", None), ("Moreau", 1e-3), ("Moreau", 1e-4)])
+def test_a_needle_comes_across_a_capsule_near_the_end_of_its_side(method, step):
+    """Within a step of time stepping it touches the side first, and then, as if the side were not there, the cap's
+    sphere, which goes on below it; the side holds it."""
+    radius, half, long = 0.2, 0.17, 0.5
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        scene = pc.Scene(flying())
+        scene.add_contour("side", pc.Cylinder(radius, (None, (-half, half))))
+        scene.add_contour("needle", pc.Line((-long, long)), "body")
+        for sign in (1, -1):
+            end = pin.SE3(np.eye(3), np.array([0.0, 0.0, sign * half]))
+            scene.add_contour(f"cap {sign}", pc.Sphere(radius), placement=end)
+            tip = pin.SE3(np.eye(3), np.array([sign * long, 0.0, 0.0]))
+            scene.add_contour(f"tip {sign}", pc.Point(), "body", tip)
+        own = [name for name in scene.contours if name.startswith(("side", "cap"))]
+        names = [
+            scene.add_contact(f"{one} {other}", one, other, friction=pc.Coulomb(0.4)).name
+            for one in own
+            for other in scene.contours
+            if other not in own
+        ]
+        along = rng.normal(size=3) * [1.0, 1.0, 0.5]
+        along /= np.linalg.norm(along)
+        normal = np.array([-along[1], along[0], 0.0]) / math.hypot(*along[:2])
+        height = rng.choice([1.0, -1.0]) * (half - rng.uniform(0.0, 0.03))
+        place = (radius + 0.03) * normal + rng.uniform(-0.2, 0.2) * along + [0.0, 0.0, height]
+        across = np.cross(along, [0.0, 0.0, 1.0]) / math.hypot(*along[:2])
+        turn = np.column_stack([along, across, np.cross(along, across)])
+        velocity, spin = -rng.uniform(0.5, 1.5) * normal + 0.2 * rng.normal(size=3), 2.0 * rng.normal(size=3)
+        if distance(place, along, (half, long)) < radius + 2e-3:
+            continue
+        q, v = np.r_[place, pin.Quaternion(turn).coeffs()], np.r_[turn.T @ velocity, turn.T @ spin]
+        times = np.linspace(0.0, 0.1, 51)
+        state = scene.initial_state(q, v, free=names)
+        run = pc.simulate(scene, state, 0.1, method=method, dt=step, t_eval=times)
+        assert run.status == 0, run.message
+        axes = [pin.Quaternion(q[3:]).matrix()[:, 0] for q in run.q]
+        depth = min(distance(q[:3], axis, (half, long)) for q, axis in zip(run.q, axes)) - radius
+        assert depth > -1e-7

@@ -119,6 +119,8 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_domain": (REALS, "contacts"),
     # s after the step's start at which an open contact touches, see `impulse_units`; that way then
     "instant": (REALS, "contacts"),
+    # whether it is left to the next step, see `impulse_trial`
+    "put_off": (INTEGERS, "contacts"),
     "touch_ways": (REALS, "contacts"),
     # where users' functions have their contours then, see `impulse_drives`
     "start_drives": (REALS, "sides", MOTION_SIZE),

@@ -531,6 +531,26 @@ def _puts_off(system, step):
     return min(turned, 1.0) * step.numbers.miss + math.sqrt(inner(change, change, nv) / moving)
 
 
+@kernel
+def _puts_later_ones_off(system, step):
+    """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies have
+    gone into each other till then, as where they come over an edge: what touches later is left to the next step."""
+    counts, units, first = step.counts, step.units, math.inf
+    for u in range(counts.units):
+        unit, c = units[u], units[u].index
+        if unit.kind != ON_CONTACT or unit.touches == 0 or step.cone_modes[u] != cone.OPEN:
+            continue
+        speed, known_to = -step.start_normal[c, 0], APART_AT_END * system.contact_real[c, LENGTH]
+        for other in range(counts.units):
+            later = units[other].impulse_time - unit.impulse_time
+            if units[other].touches != 0 and step.cone_forces[3 * other + 2] > 0.0 and later * speed > known_to:
+                first = min(first, unit.impulse_time)
+    for u in range(counts.units):
+        if units[u].kind == ON_CONTACT and units[u].touches != 0 and units[u].impulse_time > first:
+            step.put_off[units[u].index] = 1
+    return first < math.inf
+
+
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
 def trial_step(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
@@ -538,6 +558,8 @@ def trial_step(system, step, t, h, found):
     if found == FRESH:
         numbers.h, numbers.ahead = h, 0.5 * h
         counts.passes, counts.trend_before = 0, counts.has_trend
+        for c in range(system.sizes.nc):
+            step.put_off[c] = 0
     while True:
         status = _pass(system, step, t, found)
         if status == CONE_LEFT:
@@ -558,6 +580,8 @@ def trial_step(system, step, t, h, found):
             counts.passes, counts.has_trend = 1, ACCELERATION
             continue
         if counts.touched != 0 and counts.has_trend != MEAN_VELOCITY:
+            if _puts_later_ones_off(system, step):
+                continue
             numbers.ahead = numbers.impact
             counts.passes, counts.has_trend = before + 1, MEAN_VELOCITY
             continue

@@ -144,7 +144,7 @@ def _near(system, step, c):
 def _when_it_touches(system, step, c):
     """When contact c, which is open, closes in the step, SPREAD, PASSING or NEVER."""
     h, ahead, trend = step.numbers.h, step.numbers.ahead, step.counts.has_trend
-    if step.behind[c] != 0:
+    if step.behind[c] != 0 or step.put_off[c] != 0:
         return NEVER
     # what impulses change does not change when they began: touches in one instant stay so
     if trend == MEAN_VELOCITY and step.instant[c] != NEVER:

@@ -132,8 +132,8 @@ class SlipSteps:
         return after, True
 
     def _bends(self, t: float, left: float, ended: dict[int, np.ndarray], stopped: np.ndarray) -> bool:
-        """Whether anything moves so that a straight step from t to `stopped`, `left` s later, leaves out more than steps
-        are allowed to: half of what velocities and accelerations change by in it. The last evaluation is that at t.
+        """Whether anything moves so that a straight step from t to `stopped`, `left` s later, leaves out more than is
+        allowed in steps: half of what velocities and accelerations change by in it. The last evaluation is that at t.
         ended: slips that go on up to there, with their directions."""
         system, before = self.system, self.system.acceleration.copy()
         # steps of the method resolve by how much accelerations change in one

@@ -551,3 +551,37 @@ def test_least_torques_of_legs_with_dry_friction(law):
         used += bool((np.abs(np.abs(found.joint_forces) - friction)[dry] < 1e-9 * scale).any())
     assert used > 3
     assert 0 < refused < 20
+
+
+@pytest.mark.parametrize("cones", [False, True])
+def test_of_both_signs_of_a_sliding_bilateral_load_the_one_with_less_efforts(cones):
+    """Three equations for two efforts and the load: one solution for either sign, which may have it or not."""
+    mu, better, none = 0.8, 0, 0
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "mass")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
+    model.gravity.linear = np.zeros(3)
+    scene = pc.Scene(model)
+    scene.add_contour("plane", pc.Plane())
+    scene.add_contour("point", pc.Point(), "mass")
+    scene.add_contact("c", "plane", "point", friction=pc.Coulomb(mu), bilateral=True)
+    state = scene.initial_state(np.zeros(3), [1.0, 0.0, 0.0])
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        actuation, wanted = rng.normal(size=(3, 2)), np.array([-rng.uniform(0.1, 3.0), 0.0, 0.0])
+        found = {}
+        for sign in (1.0, -1.0):
+            efforts_and_load = np.linalg.solve(np.column_stack([actuation, [-sign * mu, 0.0, 1.0]]), wanted)
+            if sign * efforts_and_load[2] >= 0.0:
+                found[sign] = efforts_and_load[:2]
+        if not found:
+            none += 1
+            with pytest.raises(pc.ContactError):
+                pc.inverse_dynamics(scene, state, wanted, actuation=actuation, cones=cones)
+            continue
+        least = min(found.values(), key=np.linalg.norm)
+        better += len(found) == 2 and least is found[-1.0]
+        result = pc.inverse_dynamics(scene, state, wanted, actuation=actuation, cones=cones)
+        np.testing.assert_allclose(result.efforts, least, rtol=1e-6, atol=1e-9)
+    assert better > 5

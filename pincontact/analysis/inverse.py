@@ -176,8 +176,9 @@ def inverse_dynamics(
     tolerance : float
         Largest residual and largest constraint defect that counts as none, relative to the loads.
     cones : bool
-        Contact forces stay in their friction cones, elliptic ones too, and push, to 1e-6 of the loads. Where contacts
-        cannot open, their cones are those about the direction of the normal force that they would have without them.
+        Contact forces stay in their friction cones, elliptic ones too, and push, to 1e-6 of the loads. The normal
+        force of a contact that cannot open has either sign; points on curves have its direction without cones, or the
+        opposite one.
     effort_limits : bool
         The torques that actuators make stay within the model's `effortLimit`.
     weights : float, (nv,) array_like or mapping, optional

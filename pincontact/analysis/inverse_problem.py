@@ -68,8 +68,9 @@ def opening_contacts(instant: Instant, given: dict[str, np.ndarray]) -> list[int
 class Problem:
     """The problem of a call at the state of an instant.
 
-    shares: of normal components, see `shares_of`; for others it is `sign`. unlimited: contacts whose cones are left
-    out. sizes: sizes of the rows of items, which are kept from call to call.
+    shares: of normal components, see `shares_of`; of others it is 1. unlimited: contacts whose cones are left out.
+    two_sided: those that cannot open, with normal forces of these signs. sizes: sizes of the rows of items, which are
+    kept from call to call.
     items: (item, row) of each component of force. origin (nv,), span (nv, nz): a_0 and Z, whitened. load, rate: what a
     unit of force is in N, and one of z in N / sqrt(kg): at least least_load and least_rate, those of what acts, and as
     large as what is wanted or, where limits let that be a small part only, as an `answer` that was found, in `units`.
@@ -82,8 +83,8 @@ class Problem:
         instant: Instant,
         wanted: Wanted,
         shares: dict[tuple[int, int], float],
-        sign: float,
         unlimited: list[int],
+        two_sided: list[int],
         sizes: dict[int, float],
         answer: np.ndarray | None = None,
     ) -> None:
@@ -92,7 +93,7 @@ class Problem:
         self.opening = opening_contacts(instant, wanted.given)
         constrained = [item for item in instant.constrained() if system.owner(item[0]) not in self.opening]
         self.items = [item for item in constrained if system.contacts[system.owner(item[0])].name not in wanted.given]
-        self.shares = np.array([shares.get(item, sign) for item in self.items])
+        self.shares = np.array([shares.get(item, 1.0) for item in self.items])
         for item in {c for c, _ in constrained}.difference(sizes):
             sizes[item] = instant.row_size(item)
         rows, bias = instant.rows(constrained), instant.biases(constrained)
@@ -106,7 +107,7 @@ class Problem:
             self._keep(Directions(columns, lengths, system.moves), np.append(bias, np.zeros(len(held))))
         self._equate(wanted, answer)
         self.owners: list[tuple[str, int]] = []
-        self.region = self._limits(wanted, unlimited)
+        self.region = self._limits(wanted, unlimited, two_sided)
 
     def _keep(self, directions: Directions, bias: np.ndarray) -> None:
         self.origin, self.span = directions.reach(-bias), directions.complement
@@ -204,11 +205,12 @@ class Problem:
 
     # ---------------------------------------------------------------- limits
 
-    def _limits(self, wanted: Wanted, unlimited: list[int]) -> Region:
+    def _limits(self, wanted: Wanted, unlimited: list[int], two_sided: list[int]) -> Region:
         size, options, system = self.start.size, wanted.options, self.instant.system
         self._rows: list[tuple[np.ndarray, float, float]] = []
         self._row_owners: list[tuple[str, int]] = []
-        cones = self._cones(unlimited) if options.cones else []
+        limited = [*system.closed(), *system.resisting()] if options.cones else two_sided
+        cones = self._cones([c for c in limited if system.owner(c) not in unlimited], two_sided, options.cones)
         for k, joint in enumerate(self.resting.index):
             unit = np.zeros(size)
             unit[self.holding.start + k] = 1.0
@@ -244,15 +246,15 @@ class Problem:
         full[: self.span.shape[1]] = (whitened @ self.span) / length
         self._add_row(full, -(float(whitened @ self.origin) + bias) / (self.rate * length), np.inf, owner)
 
-    def _cones(self, unlimited: list[int]) -> list[np.ndarray]:
-        """Friction cones (3, n) and, as rows, signs of normal forces."""
+    def _cones(self, among: list[int], two_sided: list[int], with_friction: bool) -> list[np.ndarray]:
+        """Friction cones (3, n) of these items, where they are wanted, and, as rows, signs of normal forces."""
         system = self.instant.system
         index = {item: self.components.start + k for k, item in enumerate(self.items)}
         out = []
-        for c in [*system.closed(), *system.resisting()]:
+        for c in among:
             owner, integers = system.owner(c), system.contact_int[c]
             name = ("contact", owner)
-            if owner in unlimited or (owner, 2) not in index:
+            if (owner, 2) not in index:
                 continue
             normal, rows = np.zeros(self.start.size), [2, 1] if system.contact_int[owner, PATTERN] == ON_CURVE else [2]
             for row in rows:
@@ -260,8 +262,8 @@ class Problem:
             # along what no joint moves there is no load
             most = np.inf if system.rows[owner, rows].any() else 0.0
             limit = float(system.contact_real[c, MU_STATIC])
-            limited = integers[MODE] == STICK and np.isfinite(limit) and integers[TANGENTS] > 0
-            if c < system.nc and (system.contact_int[c, UNILATERAL] or limited or system.resists(c)):
+            limited = integers[MODE] == STICK and np.isfinite(limit) and integers[TANGENTS] > 0 and with_friction
+            if c < system.nc and (c in two_sided or integers[UNILATERAL] or limited or system.resists(c)):
                 self._add_row(normal, 0.0, most, name)
             if not limited:
                 continue

@@ -13,6 +13,7 @@ are a certificate; where nothing is admissible, those of the least enlargement o
 
 from __future__ import annotations
 
+from itertools import cycle, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,8 @@ import numpy as np
 from ..errors import InfeasibleError, SolverError
 from ..friction.centred import Cone, central_force
 from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
-from ..layout import TANGENTS, UNILATERAL
+from ..geometry.patterns import ON_CURVE
+from ..layout import MODE, PATTERN, SLIPPING, TANGENTS, UNILATERAL
 from .actuation import Actuation, read_actuation
 from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic
 from .instant import Instant
@@ -40,6 +42,8 @@ if TYPE_CHECKING:
 _NULL, _CLEARLY = 1e-9, 1e-12
 # Iterations for the directions of normal forces of contacts that cannot open, and their tolerance.
 _ROUNDS, _CONVERGED = 20, 1e-9
+# Of so many of them each choice of signs is tried; the others go with these, in their order.
+_CHOSEN = 4
 
 
 class Solved:
@@ -109,54 +113,65 @@ class InverseProgram:
             if not system.contact_int[c, UNILATERAL]
             and system.contacts[c].name not in wanted.given
             and (system.contact_int[c, TANGENTS] > 0 or system.resists(c))
+            and (wanted.options.cones or self._slides(c))
         ]
         if not two_sided:
-            return self._solve_in_units(wanted, {}, 1.0, [])
-        # cones about |F_n| are not convex: they are taken about the direction that F_n has without them
+            return self._solve_in_units(wanted, {}, [], [])
+        # friction that goes with |F_n| is not convex: each choice of signs is a program
         best: Solved | None = None
         failure = SolverError("the nearest accelerations are others")
-        for sign in (1.0, -1.0):
+        for signs in product((1.0, -1.0), repeat=min(len(two_sided), _CHOSEN)):
             try:
-                found = self._find_directions(wanted, sign, two_sided)
+                found = self._find_directions(wanted, dict(zip(two_sided, cycle(signs))), two_sided)
             except SolverError as error:
                 failure = error
                 continue
-            if best is None or found.shortfall < best.shortfall:
-                best = found
-            if best.certificate is None:
-                return best
-        if best is not None and wanted.options.unreachable == "nearest":
+            if best is None or _merit(found) < _merit(best):
+                best, forces = found, self._last_forces
+        if best is not None and (best.certificate is None or wanted.options.unreachable == "nearest"):
+            self._last_forces = forces
             return Solved(best.problem, best.u, best.shortfall, None)
         raise SolverError(
             f"inverse dynamics: nothing was found for either sign of the normal force of contacts that cannot open, "
             f"{', '.join(repr(system.contacts[c].name) for c in two_sided)}: {failure}"
         )
 
-    def _find_directions(self, wanted: Wanted, sign: float, two_sided: list[int]) -> Solved:
-        """With the directions of normal forces that agree with these, from those without the contacts' cones on."""
-        instant, unlimited = self.instant, two_sided
-        shares: dict[tuple[int, int], float] = {}
+    def _slides(self, c: int) -> bool:
+        """Whether contact c slides, or turns against a resistance."""
+        system = self.instant.system
+        items = [c, *(i for i in system.resisting() if system.owner(i) == c)]
+        return bool((system.contact_int[items, MODE] == SLIPPING).any())
+
+    def _find_directions(self, wanted: Wanted, signs: dict[int, float], two_sided: list[int]) -> Solved:
+        """With these signs of the normal forces of contacts that cannot open. Of points on curves, whose normal forces
+        have directions instead, those that agree with what is found with them, from those without the contacts' cones
+        on: these, or by their signs the opposite ones."""
+        instant, integers = self.instant, self.instant.system.contact_int
+        turning = [c for c in two_sided if integers[c, PATTERN] == ON_CURVE]
+        given = {(c, 2): sign for c, sign in signs.items() if c not in turning}
+        if not turning:
+            return self._solve_in_units(wanted, given, [], two_sided)
+        unlimited, shares = turning, given
         for _ in range(_ROUNDS):
-            found = self._solve_in_units(wanted, shares, sign, unlimited)
+            found = self._solve_in_units(wanted, shares, unlimited, two_sided)
             problem = found.problem
             again = shares_of(instant, problem.items, found.components)
             if not unlimited and np.abs(again - problem.shares).max(initial=0.0) <= _CONVERGED:
                 return found
-            if unlimited and sign < 0.0:
-                # the other way than what the first pass came from
-                again = np.where([c in two_sided and row != 0 for c, row in problem.items], -again, again)
-            unlimited, shares = [], dict(zip(problem.items, again.tolist()))
+            if unlimited:
+                again *= [signs[c] if c in turning and row != 0 else 1.0 for c, row in problem.items]
+            unlimited, shares = [], dict(zip(problem.items, again.tolist())) | given
         raise SolverError("the directions of normal forces do not converge")
 
     # ---------------------------------------------------------------- levels
 
     def _solve_in_units(
-        self, wanted: Wanted, shares: dict[tuple[int, int], float], sign: float, unlimited: list[int]
+        self, wanted: Wanted, shares: dict[tuple[int, int], float], unlimited: list[int], two_sided: list[int]
     ) -> Solved:
         """Once more in units of its own size where an answer is a small part of what was wanted."""
         answer: np.ndarray | None = None
         while True:
-            problem = Problem(self.instant, wanted, shares, sign, unlimited, self._sizes, answer)
+            problem = Problem(self.instant, wanted, shares, unlimited, two_sided, self._sizes, answer)
             found = self._solve(problem, wanted)
             answer = self._last = problem.units * found.u
             if not problem.small(answer):
@@ -269,6 +284,12 @@ class InverseProgram:
             f"{certificate}",
             certificate,
         )
+
+
+def _merit(found: Solved) -> tuple[bool, float, float]:
+    """What is reached is better, then what is nearer, then the smaller efforts."""
+    missed = found.shortfall if found.certificate is not None else 0.0
+    return found.certificate is not None, missed, float(np.linalg.norm(found.efforts))
 
 
 class _Tasks:

@@ -230,7 +230,7 @@ def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
     seeds = []
     for own, other in ((0, 1), (1, 0)):
         given, wanted = (slice(2 * i, 2 * i + bodies[i].contour.dimension) for i in (own, other))
-        if np.isfinite(guess[given]).all() and np.isnan(guess[wanted]).any():
+        if given.stop > given.start and np.isfinite(guess[given]).all() and np.isnan(guess[wanted]).any():
             point = poses[own].act(bodies[own].contour.point(guess[given].tolist(), t))
             seeds.append(guess.copy())
             seeds[-1][wanted] = nearest_point(bodies[other].contour, poses[other].actInv(point), t)[0]

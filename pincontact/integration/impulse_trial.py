@@ -533,8 +533,8 @@ def _puts_off(system, step):
 
 @kernel
 def _puts_later_ones_off(system, step):
-    """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies have
-    gone into each other by then, as where they come over an edge; what touches later is left to the next step."""
+    """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies
+    have gone into each other by then, as where they come over an edge; what touches later is left to the next step."""
     counts, units, first = step.counts, step.units, math.inf
     for u in range(counts.units):
         unit, c = units[u], units[u].index

@@ -386,20 +386,20 @@ def solve_slip(system, n):
     the caller to look at: it is operator[0, 0] then, where the rank is n.
     """
     operator, x, scratch = system.delassus, system.multipliers, system.constraint_rows
-    right, moving = system.right_side, 0
+    right, moving, loaded = system.right_side, 0, 0
     for i in range(n):
-        if operator[i, n] == 0.0:
-            x[i] = 0.0
-            for j in range(n):
-                operator[j, i] = 0.0
-        else:
-            moving += 1
-    if n == 1 or moving == 0:
-        if moving == 1:
-            x[0] = x[0] / operator[0, 0] if operator[0, n] > 0.0 else 0.0
-        return moving
+        moving += 1 if operator[i, n] != 0.0 else 0
+        loaded += 1 if operator[i, n] > 0.0 else 0
+        for j in range(n if operator[i, n] == 0.0 else 0):
+            operator[j, i] = 0.0
+    if n == 1 and loaded == 1:
+        x[0] /= operator[0, 0]
+        return 1
     for i in range(n):
         right[i] = x[i]
+        x[i] = 0.0
+    if loaded == 0:
+        return moving
     rank = least_norm(operator, right, n, n, x, scratch, system.permutation, RANK_TOLERANCE)
     return rank if rank > 0 else -1
 

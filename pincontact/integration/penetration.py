@@ -102,23 +102,25 @@ class Penetration:
 
     # ---------------------------------------------------------------- ideal rolling that is let go
 
-    def closes_again(self, t: float, c: int, tau: float) -> bool:
-        """Whether ideal rolling whose normal force is zero in the accepted state would close if it were let go; where
-        it would only penetrate a little, that is tolerated. tau: see `_foresee`. The accepted state's evaluation is
-        lost.
+    def closes_again(self, t: float, contacts: list[int], tau: float) -> bool:
+        """Whether any of these contacts, ideal rolling whose normal forces are zero in the accepted state, would close if
+        they were let go; where they would only penetrate a little, that is tolerated. tau: see `_foresee`. The accepted
+        state's evaluation is lost.
         """
         system, modes = self._rk.system, self._modes
         integers, limits, forces = system.contact_int.copy(), system.joint_int.copy(), modes.reference()
-        system.contact_int[c, MODE] = FREE
-        # what else slips or opens with it decides where the gap goes
+        system.contact_int[contacts, MODE] = FREE
+        # what else slips or opens with them decides where the gaps go
         decision = modes.resolve_modes(t, [], self._rk.evaluate_start)
-        depth = self._foresee(t, c, tau) if decision.status <= EVENT else math.inf
+        known = decision.status <= EVENT
+        depths = {c: self._foresee(t, c, tau) if known else math.inf for c in contacts}
         # an evaluation frees what resists the turning of an open contact, too
         system.contact_int[:], system.joint_int[:] = integers, limits
         modes.take_back(forces)
-        if depth == math.inf:
+        if math.inf in depths.values():
             return True
-        self._tolerate_penetration(c, depth)
+        for c, depth in depths.items():
+            self._tolerate_penetration(c, depth)
         return False
 
     def begin(self, t: float, tau: float) -> bool:

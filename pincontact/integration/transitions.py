@@ -311,16 +311,17 @@ class Transitions:
 
     def _lose_load(self, t: float, c: int) -> float:
         """The normal force of contact c is zero: it opens, or the force changes its side, or the contact slips."""
-        integers = self.system.contact_int[c]
+        integers, together = self.system.contact_int[c], [c]
         if not integers[UNILATERAL]:
             return self._turn_normal(t, c)
         if integers[MODE] == STICK and math.isinf(self.system.contact_real[c, MU]):
+            together = self._rolls_unloaded(c)
             lost = self.modes.lose_friction(t, self.rk.evaluate)
             if c in lost and not self._parts_soon(t, c):
                 for i in lost:
                     self.reports.announce_friction(t, i, True)
                 return self.onset.resolve(t, self.changes.sticking())
-            if self._closes_again(t, c):
+            if self._closes_again(t, together):
                 return self._reach_limit(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
         if self.modes.share(t, c, self.rk.evaluate):
@@ -328,7 +329,19 @@ class Transitions:
             return t
         self.rk.accept()
         opened, _ = self.changes.look_ahead(t)
-        return self._open(t, opened if c in opened else [c])
+        return self._open(t, opened if c in opened else together)
+
+    def _rolls_unloaded(self, c: int) -> list[int]:
+        """Contact c, ideal rolling whose normal force is zero, and others, of redundant ones, whose are with it."""
+        system = self.system
+        if system.counters.row_rank == system.counters.row_count:
+            return [c]
+        rolls = (system.modes == STICK) & np.isinf(system.contact_real[: system.nc, MU])
+        rolls &= system.contact_int[: system.nc, UNILATERAL] != 0
+        least = [next_to_nothing(system, i, NORMAL_EVENT) for i in range(system.nc)]
+        rolls &= np.abs(system.force[: system.nc, 2]) <= least
+        rolls[c] = True
+        return [int(i) for i in np.flatnonzero(rolls)]
 
     def _turn_normal(self, t: float, c: int) -> float:
         """The normal force of bilateral contact c changes its sign, which the force itself, as good as zero, does not
@@ -361,10 +374,10 @@ class Transitions:
         self.changes.evaluate_accepted(t)
         return pulled
 
-    def _closes_again(self, t: float, c: int) -> bool:
-        """Whether contact c, ideal rolling, would close if it were let go; see `penetration`."""
+    def _closes_again(self, t: float, contacts: list[int]) -> bool:
+        """Whether any of these contacts, ideal rolling, would close if they were let go; see `penetration`."""
         self.rk.accept()
-        closes = self.penetration.closes_again(t, c, min(self.onset.seed, self.onset.longest))
+        closes = self.penetration.closes_again(t, contacts, min(self.onset.seed, self.onset.longest))
         self.changes.evaluate_accepted(t)
         return closes
 

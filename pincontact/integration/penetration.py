@@ -103,9 +103,9 @@ class Penetration:
     # ---------------------------------------------------------------- ideal rolling that is let go
 
     def closes_again(self, t: float, contacts: list[int], tau: float) -> bool:
-        """Whether any of these contacts, ideal rolling whose normal forces are zero in the accepted state, would close if
-        they were let go; where they would only penetrate a little, that is tolerated. tau: see `_foresee`. The accepted
-        state's evaluation is lost.
+        """Whether any of these contacts, ideal rolling whose normal forces are zero in the accepted state, would close
+        if they were let go; where they would only penetrate a little, that is tolerated. tau: see `_foresee`. The
+        accepted state's evaluation is lost.
         """
         system, modes = self._rk.system, self._modes
         integers, limits, forces = system.contact_int.copy(), system.joint_int.copy(), modes.reference()

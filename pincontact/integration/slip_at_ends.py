@@ -235,12 +235,13 @@ def doubled(stalled):
 
 @kernel
 def slip_ends(system, n):
-    """Whether a slip is as good as over."""
-    reach = 2.0**system.counters.stalled
+    """Whether a slip is as good as over: it slows down, or steps that friction holds back get nowhere near its growth."""
+    stalled = system.counters.stalled
+    reach = 2.0**stalled
     for c in range(n):
         number = system.contact_real[c]
         speed, allowed = number[START_SPEED], number[START_TOLERANCE]
-        if not (number[START_RATE] < 0.0 and speed < math.inf):
+        if not (speed < math.inf and (number[START_RATE] < 0.0 or (stalled > 0 and speed <= allowed))):
             continue
         ended = max(allowed * reach, _SMALLEST_STOP_SPEED)
         if speed <= ended or number[STOP_ERROR] <= LEFT_OUT * min(allowed, ended):

@@ -88,10 +88,12 @@ class SlipSteps:
         columns = system.contact_real[:, START_SPEED : STOP_ERROR + 1].tolist()
         slips = {i: (*column[:3], column[-1]) for i, column in enumerate(columns) if column[0] < math.inf}
         stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
+        stopping = stopping or [i for i, (speed, _, allowed, _) in slips.items() if speed <= allowed]
         straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
         c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
-        # what is round-off has ended
-        way = slips[c][0] / -slips[c][1] if slips[c][0] > speed_round_off(system) else 0.0
+        # what is round-off has ended, and what should grow, but does not
+        speed, rate, *_ = slips[c]
+        way = speed / -rate if rate < 0.0 and speed > speed_round_off(system) else 0.0
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
         left = min(way, scalars.next_step, scalars.max_step, scalars.end - t)
         left = min(left, scalars.next_output - t, self.transitions.onset.until_touch())

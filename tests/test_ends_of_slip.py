@@ -244,6 +244,34 @@ def test_a_run_that_ends_where_slip_turns_round_ends_there():
         np.testing.assert_allclose(rest.q[-1], whole.q[-1], atol=1e-9)
 
 
+def test_slip_that_should_grow_but_does_not_has_ended(monkeypatch):
+    """Friction that turns slip far below the errors of steps as fast as these allow may hold it at a speed that is no
+    solution; a slip that has just begun is as slow, but nothing has held it back yet."""
+    systems = []
+
+    def keep(driver, t, end):
+        systems.append(driver.system)
+        raise Looked
+
+    monkeypatch.setattr(Driver, "_run", keep)
+    with pytest.raises(Looked):
+        pc.simulate(*sliding([1.0, 0.0, 0.0]), 1.0)
+    (system,) = systems
+    ends = from_python(slip_at_ends.slip_ends, SYSTEM)
+    numbers, counters = system.contact_real[0], system.counters
+    for speed, rate, stalled, expected in (
+        (0.9, 1.0, 0, False),
+        (0.9, 1.0, 1, True),
+        (1.1, 1.0, 1, False),
+        (0.9, -1.0, 0, True),
+        (1.1, -1.0, 0, False),
+        (1.1, -1.0, 1, True),
+    ):
+        counters["stalled"] = stalled
+        numbers[[START_SPEED, START_RATE, START_TOLERANCE, STOP_ERROR]] = 1e-9 * speed, rate, 1e-9, math.inf
+        assert bool(ends(system, 1)) == expected
+
+
 @pytest.mark.parametrize("gravity", [0.0, 1e-9, 1e-6, 1e-3])
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 def test_a_body_spins_on_while_a_slip_beside_ends(gravity, rtol):

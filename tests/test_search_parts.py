@@ -407,3 +407,23 @@ def test_points_that_are_apart(distance, count):
         if len(taken) < count and all(np.linalg.norm(points[i] - points[j]) > distance for j in taken):
             taken.append(i)
     assert list(spaced(points, order, distance, count)) == taken
+
+
+def test_a_line_that_points_at_a_cylinder_does_not_touch_along_it():
+    """Its end is nearest, which no stationary point tells, nor do cells; one in the surface does touch."""
+    radius, half, long = 0.22, 0.174, 0.118
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        angle = rng.uniform(-math.pi, math.pi)
+        outwards = np.array([math.cos(angle), math.sin(angle), 0.0])
+        along = -outwards + 10.0 ** rng.uniform(-5.0, -1.0) * rng.normal(size=3)
+        along /= np.linalg.norm(along)
+        tip = (radius + rng.uniform(5e-4, 0.01)) * outwards + [0.0, 0.0, rng.uniform(-0.1, 0.1)]
+        turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), along).coeffs()
+        side = pc.Cylinder(radius, (None, (-half, half)))
+        system = system_of(pc.Line((-long, long)), side, [*(tip - long * along), *turn])
+        assert not NearestSearch(system, 0, 0.0).search(0.0).is_around
+        up = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])).coeffs()
+        for depth in (1e-4, 2e-3):
+            system = system_of(pc.Line((-long, long)), side, [*((radius - depth) * outwards), *up])
+            assert NearestSearch(system, 0, 0.0).search(0.0).is_around

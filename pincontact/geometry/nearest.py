@@ -64,6 +64,8 @@ _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 _STARTS = MOST_FEET // 2
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
+# How far from an end it is looked whether what is nearest there is so farther inside, as a part of the whole.
+_INSIDE = 0.1
 # What is no overlap of samples: round-off where they touch.
 _OVERLAP = 1e-9
 # How far around points it is looked, as a part of the contact's length.
@@ -378,20 +380,20 @@ class NearestSearch:
         return within and bool(depth > SAME_PLACE * self.system.contact_real[self.c, LENGTH])
 
     def _is_beside_ends(self, t: float, cell: int) -> bool:
-        """Whether two curves with ends, of which cells tell that they may touch, do not: downhill from this cell and
-        the sample next to it they come to an end, or stay apart."""
-        curves, (rotation, centre) = (self.divided, self.whole.core), self.pose()
-        if (
-            any(curve.dimension != 1 for curve in curves)
-            or not np.isfinite([*curves[0].ends(), *curves[1].ends()]).any()
-        ):
+        """Whether two contours with ends, of which cells tell that they may touch, do not: downhill from this cell and
+        the sample next to it they come to an end, or, of curves, stay apart."""
+        both, (rotation, centre), own = (self.divided, self.whole.core), self.pose(), self.divided.dimension
+        if not np.isfinite([*both[0].ends(), *both[1].ends()]).any():
             return False
         sample = int(self._cells.order[self._cells.pairs[cell]])
-        start = [self._cells.middles[cell, 0], self.whole.parameters[sample, 0]]
-        low, high = np.array([(-math.inf, math.inf) if each.periodic[0] else each.domain[0] for each in curves]).T
+        start = [*self._cells.middles[cell, :own], *self.whole.parameters[sample, : both[1].dimension]]
+        axes = [(each, a) for each in both for a in range(each.dimension)]
+        endless = (-math.inf, math.inf)
+        low, high = np.array([endless if each.periodic[a] else each.domain[a] for each, a in axes]).T
 
         def values(place: np.ndarray) -> list[np.ndarray]:
-            return [evaluated(curve, u.reshape(1, 1), t)[0] for curve, u in zip(curves, place)]
+            parts = zip(both, (place[:own], place[own:]))
+            return [evaluated(each, u.reshape(1, -1), t)[0] for each, u in parts]
 
         def way(place: np.ndarray) -> np.ndarray:
             first, second = values(place)
@@ -399,13 +401,28 @@ class NearestSearch:
 
         def slopes(place: np.ndarray) -> np.ndarray:
             first, second = values(place)
-            return np.column_stack([first[1], -rotation @ second[1]])
+            return np.hstack([first[1 : 1 + own].T, -rotation @ second[1 : 1 + both[1].dimension].T])
 
-        near = scipy.optimize.least_squares(way, start, slopes, (low, high), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        def nearest_within(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, float]:
+            bounds, tight = (low, high), {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+            found = scipy.optimize.least_squares(way, np.clip(start, low, high), slopes, bounds, **tight)
+            return found.x, float(np.linalg.norm(found.fun))
+
+        place, distance = nearest_within(low, high)
+        same, wide = (
+            SAME_PLACE * self.system.contact_real[self.c, LENGTH],
+            np.where(np.isfinite(high - low), high - low, 0),
+        )
+        # what is inside a surface is apart from it, too
+        if distance > same and len(axes) == 2:
+            return True
         # a distance that is least to its square does not know its place better
-        at_end = np.minimum(near.x - low, high - near.x) <= math.sqrt(SAME_PLACE) * (high - low)
-        apart = float(np.linalg.norm(near.fun)) > SAME_PLACE * self.system.contact_real[self.c, LENGTH]
-        return apart or bool(at_end[np.isfinite(high - low)].any())
+        at_low, at_high = (np.abs(place - end) <= math.sqrt(SAME_PLACE) * wide for end in (low, high))
+        if not (at_low | at_high).any():
+            return False
+        # what is as near farther inside touches along a line
+        inside = low + _INSIDE * wide * at_low, high - _INSIDE * wide * at_high
+        return nearest_within(*inside)[1] > distance + same
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""

@@ -235,7 +235,7 @@ def doubled(stalled):
 
 @kernel
 def slip_ends(system, n):
-    """Whether a slip is as good as over: it slows down, or steps that friction holds back get nowhere near its growth."""
+    """Whether a slip is as good as over: it slows down, or should grow, and steps that friction holds back do not."""
     stalled = system.counters.stalled
     reach = 2.0**stalled
     for c in range(n):

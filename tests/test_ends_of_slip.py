@@ -34,11 +34,8 @@ def sliding(v):
     return scene, scene.initial_state(np.zeros(3), v)
 
 
-@pytest.fixture
-def foretell(monkeypatch):
-    """foretell(h, speed, rate, before, rate_before, tolerance, turning, older): STOP_TIME and STOP_ERROR of a slip of
-    these speeds and rates now and a step of h ago; turning: acceleration across the slip in m/s^2; older: speed and
-    rate a step before that, and its size."""
+def system_of_a_run(monkeypatch):
+    """The system of a run of that, before its first step."""
     systems = []
 
     def keep(driver, t, end):
@@ -49,6 +46,15 @@ def foretell(monkeypatch):
     with pytest.raises(Looked):
         pc.simulate(*sliding([1.0, 0.0, 0.0]), 1.0)
     (system,) = systems
+    return system
+
+
+@pytest.fixture
+def foretell(monkeypatch):
+    """foretell(h, speed, rate, before, rate_before, tolerance, turning, older): STOP_TIME and STOP_ERROR of a slip of
+    these speeds and rates now and a step of h ago; turning: acceleration across the slip in m/s^2; older: speed and
+    rate a step before that, and its size."""
+    system = system_of_a_run(monkeypatch)
     foretold = from_python(slip_at_ends._foretell_stop, SYSTEM)
 
     def call(h, speed, rate, before, rate_before, tolerance=1e-10, turning=0.0, older=(math.inf, 0.0, 0.0)):
@@ -247,16 +253,7 @@ def test_a_run_that_ends_where_slip_turns_round_ends_there():
 def test_slip_that_should_grow_but_does_not_has_ended(monkeypatch):
     """Friction that turns slip far below the errors of steps as fast as these allow may hold it at a speed that is no
     solution; a slip that has just begun is as slow, but nothing has held it back yet."""
-    systems = []
-
-    def keep(driver, t, end):
-        systems.append(driver.system)
-        raise Looked
-
-    monkeypatch.setattr(Driver, "_run", keep)
-    with pytest.raises(Looked):
-        pc.simulate(*sliding([1.0, 0.0, 0.0]), 1.0)
-    (system,) = systems
+    system = system_of_a_run(monkeypatch)
     ends = from_python(slip_at_ends.slip_ends, SYSTEM)
     numbers, counters = system.contact_real[0], system.counters
     for speed, rate, stalled, expected in (

@@ -499,8 +499,7 @@ class Driver:
                 self._announce_user_event(t, user)
             self.rk.load(self.system.new_state)
             if self.users.may_cross(t, step):
-                if not self.rk.interpolate(t, step):
-                    raise no_dense_output(t)
+                self.outputs.interpolate(t, step)
                 self._announce_user_events(t, step, math.inf)
         self.outputs.write_short_step(t, step)
 
@@ -531,7 +530,7 @@ class Driver:
                 self.outputs.write_until(time)
                 taken = step * zero.behind(min(until, 1.0), partial(self._value_after, t, step, zero.event))
                 time = t + taken
-                self._keep_to(t, taken, step)
+                self.outputs.keep_shorter(t, taken, step)
                 self.rk.load(self.system.new_state)
                 self._project(time, False)
                 self.rk.accept()
@@ -566,7 +565,7 @@ class Driver:
                 self._take_back(told, kept, taken)
                 return t, False
             time = t + taken
-            self._keep_to(t, taken, step)
+            self.outputs.keep_shorter(t, taken, step)
         state = self.system.new_state if crossing.theta > 0.0 else self.system.state
         rk.load(state)
         if not rk.project(time, False, rk.error):
@@ -588,20 +587,6 @@ class Driver:
             raise
         self._after(after, jumps=True)
         return after, True
-
-    def _keep_to(self, t: float, taken: float, step: float) -> None:
-        """Keep the interpolant of the step from t that was taken to an event, where all are kept; that of the whole
-        step where the shorter one has none. The trial step stays the shorter one."""
-        if self.outputs.pieces is None:
-            return
-        new_state, error = self.system.new_state.copy(), self.rk.error
-        for size in (taken, step):
-            if self.rk.try_step(t, size) == OK and self.rk.interpolate(t, size):
-                break
-        else:
-            raise no_dense_output(t)
-        self.outputs.keep(t, t + taken, size)
-        self.system.new_state[:], self.system.scalars.error_norm = new_state, error
 
     def _slides_slowly(self) -> bool:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""

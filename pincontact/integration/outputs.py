@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..dynamics.directions import freeze_slip
+from ..layout import OK
 from .pieces import Pieces, write_outputs
 from .results import STEP_TOO_SMALL, Stop
 from .runge_kutta import RungeKutta
@@ -48,6 +49,20 @@ class Outputs:
         """Keep the last interpolant, of a trial step from t of this size in s, up to `end`, where all are kept."""
         if self.pieces is not None:
             self.pieces.keep(t, end, size)
+
+    def keep_shorter(self, t: float, taken: float, step: float) -> None:
+        """Keep the interpolant of the part `taken` of a step from t that was taken to an event, where all are kept;
+        that of the whole step where the shorter one has none. The trial step stays the shorter one."""
+        if self.pieces is None:
+            return
+        new_state, error = self.system.new_state.copy(), self.rk.error
+        for size in (taken, step):
+            if self.rk.try_step(t, size) == OK and self.rk.interpolate(t, size):
+                break
+        else:
+            raise no_dense_output(t)
+        self.keep(t, t + taken, size)
+        self.system.new_state[:], self.system.scalars.error_norm = new_state, error
 
     def __len__(self) -> int:
         """How many pieces are kept."""
@@ -100,7 +115,11 @@ class Outputs:
     def write_short_step(self, t: float, step: float) -> None:
         """Write the output times in the last trial step, from t, whatever its size in s."""
         if self.need_dense(t + step):
-            if not self.rk.interpolate(t, step):
-                raise no_dense_output(t)
+            self.interpolate(t, step)
             self.write_until(t + step)
             self.keep(t, t + step, step)
+
+    def interpolate(self, t: float, step: float) -> None:
+        """Make the dense output of the last trial step, which has to have one."""
+        if not self.rk.interpolate(t, step):
+            raise no_dense_output(t)

@@ -462,8 +462,9 @@ def _check_numbers(**numbers: Any) -> None:
     for name, value in numbers.items():
         if not is_number(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
-        if not value > 0.0 and (value < 0.0 or name not in ("duration", "rtol")):
-            raise ArgumentError(f"{name} must be positive, got {value}")
+        may_be_zero = name in ("duration", "rtol")
+        if not value > 0.0 and (value < 0.0 or not may_be_zero):
+            raise ArgumentError(f"{name} must {'not be negative' if may_be_zero else 'be positive'}, got {value}")
 
 
 def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray | None:

@@ -179,7 +179,7 @@ def test_a_run_that_cannot_finish(tmp_path, capsys, command):
     [
         (["run", "nowhere.toml"], r"nowhere\.toml cannot be read"),
         (["info", "nowhere.toml"], r"nowhere\.toml cannot be read"),
-        (["run", DISK, "--duration", "-1"], r"duration must be positive, got -1"),
+        (["run", DISK, "--duration", "-1"], r"duration must not be negative, got -1"),
         (["run", DISK, "--html", "no/such/folder/run.html"], r"there is no folder no/such/folder"),
         (["run", DISK, "--save", "no/such/folder/run.npz"], r"there is no folder no/such/folder"),
     ],

@@ -56,8 +56,8 @@ FAILURES = {
     FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
     TOUCHES_AROUND: (
         SINGULAR_CONTACT,
-        "the bodies touch along a line or a circle, as on an axis of symmetry, and not at a point: they start or move "
-        "too symmetrically",
+        "the bodies touch along a line or a circle, as parallel ones or those on an axis of symmetry do, and not at a "
+        "point",
     ),
     OFF_BALANCE: (
         STEP_TOO_LONG,

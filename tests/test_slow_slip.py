@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import scipy
 from calling import from_python
 from test_resistances import MASS, G, slider
 from turning_ball import RADIUS, ball, on_the_floor
@@ -126,6 +127,28 @@ def test_events_and_outputs_in_slow_slip():
     watched = pc.simulate(scene, state, 1.0, t_eval=times, events=passes, **TIGHT)
     assert [event.time for event in watched.events] == pytest.approx([0.5], rel=1e-9)
     np.testing.assert_allclose(watched.q, run.q, rtol=0.0, atol=1e-12)
+
+
+def test_events_do_not_change_how_slow_slip_is_followed():
+    """The same steps, and zeros where the dense output has them; a terminal one ends the run there."""
+    scene, state, control = drawn(1e-3)
+    run = pc.simulate(scene, state, 1.0, control=control, dense_output=True)
+    middle = 0.5 * (run.q[0, 0] + run.q[-1, 0])
+    time = scipy.optimize.brentq(lambda t: run.sol(t).q[0] - middle, 0.6, 1.0, xtol=1e-14)
+
+    def passes(t, q, v):
+        return q[0] - middle
+
+    for terminal in (False, True):
+        passes.terminal = terminal
+        watched = pc.simulate(scene, state, 1.0, control=control, events=passes)
+        assert watched.status == int(terminal)
+        (zero,) = (event.time for event in watched.events if event.kind == "user")
+        assert zero == pytest.approx(time, abs=1e-12)
+        if terminal:
+            assert watched.t[-1] == zero and watched.q[-1, 0] == pytest.approx(middle, abs=1e-15)
+        else:
+            assert watched.stats["steps"] == run.stats["steps"]
 
 
 @pytest.mark.parametrize("force", [-3.0, -1.0], ids=["turns round", "stops"])

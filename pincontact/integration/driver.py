@@ -591,8 +591,7 @@ class Driver:
     def _slides_slowly(self) -> bool:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
         counters = self.system.counters
-        asked = self.users or self.options.fixed_step
-        return bool(not asked and counters.stiff_steps >= counters.patience)
+        return not self.options.fixed_step and bool(counters.stiff_steps >= counters.patience)
 
     def _slow_slip(self, t: float) -> float:
         """Go on with prescribed directions of slip; the new time."""

@@ -581,7 +581,7 @@ def test_a_bump_that_grows_beside_is_told(method):
     assert abs(run.t[-1] - touch) < 3e-3
 
 
-@pytest.mark.parametrize(("method", "rtol"), [("RK45", 1e-9), ("DOP853", 1e-8), ("Moreau", 1e-8)])
+@pytest.mark.parametrize(("method", "rtol"), [("RK45", 1e-9), ("Moreau", 1e-8)])
 def test_the_far_side_of_a_shape_that_changes_is_no_second_place(method, rtol):
     """A ring rolls on a torus that moves: by its formula, of which no more is known, and by a prescribed motion."""
     amplitude, frequency = np.array([-1.2e-3, 3.2e-3, 1.7e-3]), 0.77

@@ -1,8 +1,12 @@
-"""Whether closed contacts are followed in a step of Moreau's method, or leap to other places: compiled."""
+"""What a step of Moreau's method is too long for: closed contacts that leap to other places, touches that come behind
+others; compiled."""
 
 from __future__ import annotations
 
+import math
+
 from ..dynamics.evaluation import are_at_one_place
+from ..friction import cone
 from ..geometry.location import NO_CLOSED_FORM
 from ..geometry.small import dot, norm
 from ..jit import kernel
@@ -20,6 +24,7 @@ from ..layout import (
 )
 from .accuracy import APART_AT_END, LEAPS
 from .ends import is_on_either_side
+from .impulse_layout import ON_CONTACT
 from .impulse_units import passes_by
 
 # A gap, or a contact coordinate, that changes in a step by more than this many times what its rates before and after it
@@ -75,3 +80,23 @@ def has_come_to_another(system, c):
             return True
         other = system.contact_int[other, NEXT]
     return False
+
+
+@kernel
+def puts_later_ones_off(system, step):
+    """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies
+    have gone into each other by then, as where they come over an edge; what touches later is left to the next step."""
+    counts, units, first = step.counts, step.units, math.inf
+    for u in range(counts.units):
+        unit, c = units[u], units[u].index
+        if unit.kind != ON_CONTACT or unit.touches == 0 or step.cone_modes[u] != cone.OPEN:
+            continue
+        speed, known_to = -step.start_normal[c, 0], APART_AT_END * system.contact_real[c, LENGTH]
+        for other in range(counts.units):
+            later = units[other].impulse_time - unit.impulse_time
+            if units[other].touches != 0 and step.cone_forces[3 * other + 2] > 0.0 and later * speed > known_to:
+                first = min(first, unit.impulse_time)
+    for u in range(counts.units):
+        if units[u].kind == ON_CONTACT and units[u].touches != 0 and units[u].impulse_time > first:
+            step.put_off[units[u].index] = 1
+    return first < math.inf

@@ -61,7 +61,7 @@ from .impulse_layout import (
     UNASKED,
     WANTED,
 )
-from .impulse_leaps import has_come_to_another, leaps, overlaps_at_end
+from .impulse_leaps import has_come_to_another, leaps, overlaps_at_end, puts_later_ones_off
 from .impulse_problem import least_way
 from .impulse_review import AGAIN, ANEW, may_rest
 from .impulse_viscous import begin_sharing
@@ -531,26 +531,6 @@ def _puts_off(system, step):
     return min(turned, 1.0) * step.numbers.miss + math.sqrt(inner(change, change, nv) / moving)
 
 
-@kernel
-def _puts_later_ones_off(system, step):
-    """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies
-    have gone into each other by then, as where they come over an edge; what touches later is left to the next step."""
-    counts, units, first = step.counts, step.units, math.inf
-    for u in range(counts.units):
-        unit, c = units[u], units[u].index
-        if unit.kind != ON_CONTACT or unit.touches == 0 or step.cone_modes[u] != cone.OPEN:
-            continue
-        speed, known_to = -step.start_normal[c, 0], APART_AT_END * system.contact_real[c, LENGTH]
-        for other in range(counts.units):
-            later = units[other].impulse_time - unit.impulse_time
-            if units[other].touches != 0 and step.cone_forces[3 * other + 2] > 0.0 and later * speed > known_to:
-                first = min(first, unit.impulse_time)
-    for u in range(counts.units):
-        if units[u].kind == ON_CONTACT and units[u].touches != 0 and units[u].impulse_time > first:
-            step.put_off[units[u].index] = 1
-    return first < math.inf
-
-
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
 def trial_step(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
@@ -580,7 +560,7 @@ def trial_step(system, step, t, h, found):
             counts.passes, counts.has_trend = 1, ACCELERATION
             continue
         if counts.touched != 0 and counts.has_trend != MEAN_VELOCITY:
-            if _puts_later_ones_off(system, step):
+            if puts_later_ones_off(system, step):
                 continue
             numbers.ahead = numbers.impact
             counts.passes, counts.has_trend = before + 1, MEAN_VELOCITY

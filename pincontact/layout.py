@@ -84,14 +84,15 @@ COUNTERS = record(
 )
 
 # what kernels call by address: a Python function to be asked first, or 0, its arguments, and whether it is for places,
-# too; two of Pinocchio's algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives
-# places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the
-# two words that it begins with
+# too; a compiled control that is asked instead, or 0; two of Pinocchio's algorithms and theirs; the result that means
+# failure; the evaluation; the algorithm that gives places, velocities and Jacobians alone; where the rows of
+# `PinocchioCalls.native` are, or 0, and the model, with the two words that it begins with
 CALLBACK = record(
     INTEGERS,
     "asked",
     "asked_with",
     "asked_for_places",
+    "control",
     "called",
     "called_with",
     "called_next",

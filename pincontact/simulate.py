@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arguments import check_flag, is_count, is_number, reals, time_step
+from .control import Control, torque_of
 from .dynamics.energy import energy_gained
 from .dynamics.joints import check_joint_limits
-from .errors import ArgumentError, UnusableResult, sentence
+from .errors import ArgumentError, sentence
 from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
 from .integration.driver import Driver
@@ -32,7 +33,7 @@ from .integration.results import (
     STEP_TOO_SMALL,
     Event,
 )
-from .integration.runge_kutta import RungeKutta, Torque
+from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import Tableau, tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
@@ -47,7 +48,7 @@ from .trajectory import Trajectory
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from .dynamics.system import System
+    from .dynamics.system import System, Torque
     from .integration.moreau_driver import MoreauDriver
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
@@ -64,7 +65,6 @@ _TOLD = {
 _TOLD_FROM = 1e-3
 _BAR = "{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
 
-Control = Callable[[float, np.ndarray, np.ndarray], "ArrayLike"]
 EventFunction = Callable[[float, np.ndarray, np.ndarray], float]
 
 
@@ -157,7 +157,7 @@ class _Request:
 
     def torque(self, system: System) -> Torque | None:
         """What asks the control for a system's torques."""
-        return None if self.control is None else _torque(self.control, system)
+        return None if self.control is None else torque_of(self.control, system)
 
     def run(self, driver: Driver | MoreauDriver, result: Callable[[int, str], Trajectory]) -> Trajectory:
         """Run a driver; result(code, message): the trajectory so far. What users' functions raise is passed on, with
@@ -228,7 +228,8 @@ def simulate(
         impacts and jams, with constant steps and without error control.
     control : callable, optional
         Called as control(t, q, v), returns joint torques (nv,) in N and N m; must be smooth between events. q (nq,) and
-        v (nv,) are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
+        v (nv,) are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept. A
+        function compiled by numba (`@numba.njit`) is called without Python.
     events : callable or sequence of callables, optional
         Functions g(t, q, v) whose zeros are reported, also where there are several within a step; attributes `terminal`
         (True or False) and `direction` as in SciPy's `solve_ivp`.
@@ -495,45 +496,3 @@ def _breakpoints(given: ArrayLike | None, t: float, end: float) -> list[float]:
     if not np.isfinite(times).all():
         raise ArgumentError(f"breakpoints must be finite, got {given!r}")
     return [time for time in np.unique(times).tolist() if t < time and math.nextafter(time, math.inf) < end]
-
-
-def _torque(control: Control, system: System) -> Torque:
-    """What asks the user's control at t: torques for the system's (q, v) into its `tau`.
-
-    Raises what the control raises, UnusableResult for what are no torques; whether they are finite is left to the
-    kernels, which note it.
-    """
-    # made once, and local to the function: a call costs what the control costs
-    q, v, tau, shape = system.q.view(), system.v.view(), system.tau, (system.nv,)
-    q.flags.writeable = v.flags.writeable = False
-    real, arrays = np.dtype(float), np.ndarray
-
-    def unusable(t: float, what: str) -> UnusableResult:
-        return UnusableResult(f"t = {t:.9g} s: control returned {what}")
-
-    def numbers(t: float, found: Any) -> np.ndarray:
-        if found is None:
-            raise unusable(t, f"None, not an array of shape {shape}")
-        try:
-            array = np.asarray(found)
-            if array.dtype.kind != "c":
-                return np.asarray(array, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise unusable(t, f"{found!r}: {error}") from None
-        # the conversion would drop imaginary parts
-        raise unusable(t, f"complex numbers: {array.tolist()}")
-
-    def ask(t: float) -> None:
-        try:
-            found = control(t, q, v)
-        except BaseException:
-            system.blame(f"t = {t:.9g} s: control")
-            raise
-        if type(found) is not arrays or found.dtype is not real:
-            found = numbers(t, found)
-        if found.shape != shape:
-            raise unusable(t, f"an array of shape {found.shape}, not {shape}")
-        # of a few numbers a slice would take twice as long
-        tau[...] = found
-
-    return ask

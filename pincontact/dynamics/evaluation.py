@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import address as address_in
-from ..callback import call_by_address, call_python, separate_kernel
+from ..callback import call_by_address, call_python, kernel_caller, separate_kernel
 from ..constraints.kinematics import constraint_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
 from ..friction.ellipse import set_friction_scaling
@@ -77,6 +77,7 @@ from .resistance import count_items, resistance_kinematics, resists
 
 # Parts that an evaluation may be confined to.
 KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL, VELOCITIES_OF_ALL = 1, 2, 3, 4
+_call_control = kernel_caller(INTEGER, REAL, *(INTEGER,) * 5)
 # Part of the gaps that a correction may leave for round-off.
 _LEFT = 1e-6
 
@@ -101,8 +102,7 @@ def ask_user(system, part):
     callback = system.callback
     if callback.asked == 0 or (part == PLACES_OF_ALL and callback.asked_for_places == 0):
         return True
-    answered = call_python(callback.asked, callback.asked_with, callback.call_failed)
-    return answered and torques_finite(system, system.scalars.time)
+    return ask_for_torques(system, callback)
 
 
 @kernel
@@ -130,6 +130,18 @@ def call_pinocchio(system, part):
     if not call_python(callback.called, callback.called_with, callback.call_failed):
         return False
     return call_python(callback.called_next, callback.called_next_with, callback.call_failed)
+
+
+@kernel
+def ask_for_torques(system, calls):
+    """Call the user's control, the compiled one where there is one; whether all torques are finite. calls: a record
+    with `control` and `asked`."""
+    sizes, time = system.sizes, system.scalars.time
+    q, v, tau = address_in(system.q), address_in(system.v), address_in(system.tau)
+    answered = calls.control != 0 and _call_control(calls.control, time, q, v, tau, sizes.nq, sizes.nv) != 0
+    if not answered:
+        answered = call_python(calls.asked, calls.asked_with, calls.call_failed)
+    return answered and torques_finite(system, time)
 
 
 @kernel

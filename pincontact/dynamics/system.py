@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -99,6 +99,20 @@ FORCE_SLACK = 1e-13
 _OVERLAP, _OVERLAP_OF_POINTS = 0.05, 1e-3
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
 _NEGLIGIBLE_RESISTANCE = 1e-12
+
+
+class Torque(NamedTuple):
+    """What sets `tau` for a system's (q, v).
+
+    ask(t): in Python, at time t; compiled: a C function that the kernels ask instead (see `control`), or None.
+    """
+
+    ask: Callable[[float], None]
+    compiled: Any
+
+    @property
+    def address(self) -> int:
+        return 0 if self.compiled is None else int(self.compiled.address)
 
 
 class System(Workspace):
@@ -279,20 +293,20 @@ class System(Workspace):
             numbers[[MU, MU_FAST, MU_STATIC, MU_NOW]] = law.spinning if spins else law.rolling
             numbers[[ASPECT, SCALING_11, SCALING_22, SPAN, LENGTH, NORMAL_1]] = 1.0
 
-    def before_evaluation(self, torque: Callable[[float], None] | None = None) -> None:
-        """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask.
-
-        torque(t): fills `tau` for (t, q, v).
-        """
+    def before_evaluation(self, torque: Torque | None = None) -> None:
+        """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask."""
         self._callback_error: BaseException | None = None
         self._culprit = ""
         # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
         # do the addresses in a copy of the arrays
-        self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
+        self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque.ask), ())
+        self._torque = torque
         asked, given = map(id, self._asked) if self._asked else (0, 0)
         # whether any of the user's functions is called
         self.asks = asked != 0
         self.callback.asked, self.callback.asked_with = asked, given
+        # motions that are written in Python are asked with it
+        self.callback.control = 0 if torque is None or self.python_drives else torque.address
 
     def _map_calls(self) -> None:
         callback = self.callback

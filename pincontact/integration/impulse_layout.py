@@ -54,9 +54,11 @@ NUMBERS = record(
     *("made", "moving", "made_so_far", "least_made", "most_made", "most_moving"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
-# What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result
-# that means failure.
-CALLS = record(INTEGERS, "run_task", "solve_cones", "assemble", "move_charts", "asked", "asked_with", "call_failed")
+# What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments, a compiled one
+# that is asked first, or 0, and the result that means failure.
+CALLS = record(
+    INTEGERS, "run_task", "solve_cones", "assemble", "move_charts", "asked", "asked_with", "control", "call_failed"
+)
 
 # A joint limit or the dry friction of a joint: its kind, where the coordinate is in q, v and among the limited ones;
 # bound: the limit in rad or m, or half the width of the range of friction forces in N m or N; middle: that range's.

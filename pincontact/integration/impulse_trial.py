@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from ..arrays import as_array
-from ..callback import call_python, kernel_caller, separate_kernel
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
+from ..callback import kernel_caller, separate_kernel
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, ask_for_torques
 from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.starts import AFRESH, NEAREST, USUAL
@@ -103,7 +103,7 @@ def ask(system, step, t):
     if calls.asked == 0:
         return True
     system.scalars.time = t
-    return call_python(calls.asked, calls.asked_with, calls.call_failed) and torques_finite(system, t)
+    return ask_for_torques(system, calls)
 
 
 @kernel

@@ -58,6 +58,7 @@ from .steps import run_task
 if TYPE_CHECKING:
     from ..contacts import Contact
     from ..dynamics.joints import JointLimit
+    from ..dynamics.system import Torque
     from .actuators import Actuator
 
 # Step in s where none is given: impacts and stick-slip of bodies of some cm to m are resolved.
@@ -82,8 +83,6 @@ _OF_SYSTEM = ("state", "stage_state", "q", "v", "tau", "location", "contact_int"
 
 # Rows of a rollout, up to which their room is kept for the next one.
 _ROWS_KEPT = 10_000
-
-Torque = Callable[[float], None]
 
 
 def joint_constraints(limits: Sequence[JointLimit]) -> list[tuple[int, int, int, int, float, float]]:
@@ -179,7 +178,7 @@ class MoreauStep:
         system = self.system
         self.cones.begin()
         self.open = OpenContacts(system)
-        self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
+        self._asked: tuple[Callable[[], bool], tuple[()], Torque] | None = None
         if self._viscous:
             # the mass matrix with viscous friction couples branches of the tree
             system.set_tree(range(-1, system.nv - 1))
@@ -194,16 +193,17 @@ class MoreauStep:
 
     def ask(self, torque: Torque | None) -> None:
         """Set the function that sets `system.tau` for the system's (q, v) at the middle of every step, and for every
-        output: torque(t). None for constant torques."""
+        output. None for constant torques."""
         # kept alive here: the kernels know the addresses only
         self._asked = None
         calls = self.step_arrays.calls
-        calls["asked"] = calls["asked_with"] = 0
+        calls["asked"] = calls["asked_with"] = calls["control"] = 0
         if torque is None:
             return
         self.system.asks = True
-        self._asked = self.system.callback_of(torque), ()
-        calls["asked"], calls["asked_with"] = (id(part) for part in self._asked)
+        self._asked = self.system.callback_of(torque.ask), (), torque
+        calls["asked"], calls["asked_with"] = map(id, self._asked[:2])
+        calls["control"] = torque.address
 
     def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
         """A task of `run_steps`, with the cone problems that it leaves. Raises what `System.check_callbacks` does."""

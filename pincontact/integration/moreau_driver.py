@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -16,12 +17,15 @@ from .contradictions import jump_apart, jump_into, refuse_apart
 from .events import UserEvent, Zero, goes_through, lost_zeros
 from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS, SLIP
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
-from .moreau import MoreauStep, Torque
+from .moreau import MoreauStep
 from .reports import left_behind
 from .results import CONTOUR_ENDS, FINISHED, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import asked_once, crossing_between
 from .step_control import SLIVER
+
+if TYPE_CHECKING:
+    from ..dynamics.system import Torque
 
 # Accuracy of the time of a user's event, relative to the step.
 _EVENT_ACCURACY = 1e-12
@@ -260,7 +264,7 @@ class MoreauDriver:
 
     def _record(self, t: float, asked: bool) -> None:
         if self.torque is not None and not asked:
-            self.torque(t)
+            self.torque.ask(t)
             self.system.check_torques(t)
         self.record(t)
 

@@ -18,6 +18,7 @@ from .tableaux import Tableau
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..dynamics.system import Torque
     from .run_system import RunSystem
 
 # Margin on the depth of a parabola's dip between two stages.
@@ -25,8 +26,6 @@ _DIP = 1.5
 
 # From this relative tolerance on an interpolant without stages of its own is as good as one with them.
 _LOOSE = 1e-7
-
-Torque = Callable[[float], None]
 
 
 class RungeKutta:

@@ -239,7 +239,7 @@ def _numbers(kind: np.dtype[Any]) -> type[Numbers]:
     return type("Numbers", (Numbers,), {"__slots__": (), "_fields_": fields, "dtype": kind})
 
 
-def _by_name(array: np.ndarray) -> Any:
+def by_name(array: np.ndarray) -> Any:
     """The array, or its single record, with fields that uncompiled kernels read as attributes."""
     if array.ndim == 0:
         return _numbers(array.dtype).from_buffer(array.data)
@@ -312,7 +312,7 @@ class Workspace:
         inner, dimensions = self.layout.inner[name], self.layout.arrays[name][1]
         if array.ndim != dimensions or array.shape[array.ndim - len(inner) :] != inner:
             raise ValueError(f"{name} is declared with {dimensions} extents, {inner} the last, got {array.shape}.")
-        self.__dict__[name] = _by_name(array)
+        self.__dict__[name] = by_name(array)
         self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
 
     def keep(self) -> None:

@@ -17,7 +17,7 @@ from pincontact.contours.graph import Untraceable
 from pincontact.contours.tape import COUNT
 from pincontact.contours.trace import Path
 from pincontact.jit import CHECKED, KERNEL_OPTIONS
-from pincontact.workspace import Layout, _by_name
+from pincontact.workspace import Layout, by_name
 
 
 @functools.cache
@@ -82,7 +82,7 @@ def _kernel_type(given: Any) -> Any:
 
 def record_of(kind: np.dtype[Any], value: float = 0) -> Any:
     """A record with the same number in all fields, as workspaces have it."""
-    return _by_name(np.full((), value, kind))
+    return by_name(np.full((), value, kind))
 
 
 def traced_tape(function: Callable[..., Any], variables: str, outputs: int) -> Any:

@@ -11,7 +11,8 @@ import pytest
 
 from pincontact.friction import loads
 from pincontact.friction.cone import OPEN, SLIP, STICK
-from pincontact.friction.loads import LARGE_FRICTION, TOLERANCE, Loads, ScaledLoads, _Chosen, gauss_seidel_loads
+from pincontact.friction.loads import LARGE_FRICTION, Loads, gauss_seidel_loads
+from pincontact.friction.scaled_loads import TOLERANCE, Chosen, ScaledLoads, radius_at
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 
@@ -141,12 +142,12 @@ def test_signs_of_loads_may_be_chosen(seed):
     problem.mu[[0, 1, 3]], problem.radius_rows[9], problem.radius_base[9] = 0.0, 0.0, 0.0
     problem.mu[4] = 0.1
     scaled = ScaledLoads(problem)
-    assert [disc.direction.any() for disc in scaled.signed] == [True]
+    assert scaled.discs["along_1"][scaled.discs["signed"] != 0].any() and scaled.discs["signed"].sum() == 1
     assert (scaled.curved, scaled.choices) == (True, 4)
     found = []
     for signs in ((1.0,), (-1.0,)):
         for loaded in product((True, False), repeat=3):
-            y, residual = scaled.newton(np.zeros(scaled.rows.size), _Chosen(np.array(loaded), signs))
+            y, residual = scaled.newton(np.zeros(scaled.rows.size), Chosen(np.array(loaded), signs))
             if residual <= TOLERANCE:
                 forces = scaled.forces(y)
                 load = problem.radius_base[8] + problem.radius_rows[8] @ forces
@@ -248,32 +249,38 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
     assert twice == pytest.approx(f, abs=1e-12)
 
 
+def radius_of(scaled, d, y):
+    """The radius of a disc, and its derivative."""
+    disc, rows, slope = scaled.discs.view(np.recarray)[d], scaled.radius_rows, np.empty(y.size)
+    return radius_at(disc, rows[2 * d], rows[2 * d + 1], y, slope), slope
+
+
 @SEEDS
 def test_a_disc_of_the_own_normal_force_is_told_apart(seed):
     problem = made_problem(np.random.default_rng([3, seed]))
     scaled = ScaledLoads(problem)
     # unknowns in the order of rows: of the first contact 0, 1 and 2, of the second 3 and 5, of the third 8
     assert scaled.rows.tolist() == [0, 1, 2, 3, 5, 8, 9, 10, 12, 13, 15]
-    assert scaled.normals.tolist() == [2, 4, 5]
-    assert [disc.places.tolist() for disc in scaled.discs] == [[0, 1], [3], [6, 7], [8, 9], [10]]
-    assert [disc.own for disc in scaled.discs] == [True, True, False, False, False]
+    assert scaled.normals["place"].tolist() == [2, 4, 5]
+    assert scaled.discs[["first", "count"]].tolist() == [(0, 2), (3, 1), (6, 2), (8, 2), (10, 1)]
+    assert scaled.discs["own"].tolist() == [1, 1, 0, 0, 0]
     forces = np.random.default_rng([4, seed]).uniform(0.5, 1.0, 21)
     forces[np.setdiff1d(np.arange(21), scaled.rows)] = 0.0
     y, units = scaled.unknowns(forces), scaled.scale * scaled.unit
-    for disc, i in zip(scaled.discs, (0, 1, 3, 4, 5)):
-        radius, slope = disc.radius(y)
-        assert radius * units[disc.places[0]] == pytest.approx(problem.radii(forces)[i], rel=1e-12)
-        turned = [disc.radius(y + 1e-6 * d)[0] - disc.radius(y - 1e-6 * d)[0] for d in np.eye(y.size)]
+    for d, i in enumerate((0, 1, 3, 4, 5)):
+        radius, slope = radius_of(scaled, d, y)
+        assert radius * units[scaled.discs["first"][d]] == pytest.approx(problem.radii(forces)[i], rel=1e-12)
+        turned = [radius_of(scaled, d, y + 1e-6 * e)[0] - radius_of(scaled, d, y - 1e-6 * e)[0] for e in np.eye(y.size)]
         # by the square of the difference
         assert slope == pytest.approx(np.array(turned) / 2e-6, abs=1e-8)
     # below zero there is no load, and so no radius
     y[2] = -1.0
-    assert scaled.discs[0].radius(y)[0] == 0.0 and not scaled.discs[0].radius(y)[1].any()
+    assert radius_of(scaled, 0, y)[0] == 0.0 and not radius_of(scaled, 0, y)[1].any()
     # no friction, no disc; and a load that is another's is not its own
     problem.mu[0], problem.radius_rows[2] = 0.0, problem.radius_rows[6]
     discs = ScaledLoads(problem).discs
-    assert [disc.places.tolist() for disc in discs] == [[1], [4, 5], [6, 7], [8]]
-    assert not discs[0].own
+    assert discs[["first", "count"]].tolist() == [(1, 1), (4, 2), (6, 2), (8, 1)]
+    assert not discs["own"][0]
 
 
 def test_where_nothing_is_found_the_best_is_kept(monkeypatch):

@@ -15,7 +15,7 @@ import pincontact as pc
 from pincontact.contacts import characteristic_length
 from pincontact.dynamics import system as system_module
 from pincontact.dynamics.joints import joint_limits
-from pincontact.dynamics.system import FORCE_SLACK, System
+from pincontact.dynamics.system import FORCE_SLACK, System, Torque
 from pincontact.errors import UnusableResult
 from pincontact.geometry.patterns import NO_NORMAL
 from pincontact.integration.run_system import RunSystem
@@ -345,7 +345,7 @@ def test_what_varies_with_time(motion):
         assert system.varies_with_time is unsteady
         assert not system.asks
         assert system.callback[["asked", "asked_with"]].tolist() == (0, 0)
-        system.before_evaluation(lambda t: None)
+        system.before_evaluation(Torque(lambda t: None, None))
         assert system.asks
         assert system.varies_with_time
         system.before_evaluation()

@@ -31,19 +31,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import NamedTuple
 
 import numpy as np
 
 from ..jit import CALLED, INTEGER, REAL, entry_kernel
-from ..linalg import RANK_TOLERANCE
-from .cone import COMMON_LIMIT, OPEN, PAINLEVE_LIMIT, SLIP, STICK
+from .cone import OPEN, SLIP, STICK
+from .scaled_loads import TOLERANCE, Chosen, ScaledLoads
 
-# Residual, in units of the largest acceleration without forces, up to which a zero is one.
-TOLERANCE = 1e-10
-_NEWTON_STEPS = 40
-# How often one is halved, and by which part of its linear forecast the square of what has to vanish then falls.
-_HALVINGS, _FALL = 12, 1e-3
 # Coefficient that stands in for an infinite one: what has to slip then is held up by friction with next to no load.
 LARGE_FRICTION = 1e4
 # Coefficient with which that load is round-off.
@@ -191,7 +185,7 @@ class Loads:
         for parts in _PARTS:
             y = scaled.unknowns(np.zeros_like(forces))
             for part in range(1, parts + 1):
-                y, residual = ScaledLoads(replace(self, mu=part / parts * mu)).newton(y)
+                y, residual = scaled.with_friction(part / parts).newton(y)
                 if not residual <= TOLERANCE:
                     break
             else:
@@ -224,7 +218,8 @@ class LoadSolver:
             elif residual <= TOLERANCE:
                 # loads of redundant contacts may be round-off
                 small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-                y[scaled.normals[y[scaled.normals] <= small]] = 0.0
+                loads = scaled.normals["place"]
+                y[loads[y[loads] <= small]] = 0.0
                 self.forces = scaled.forces(y)
                 self.velocities = problem.velocities(self.forces)
                 self.residual = residual
@@ -235,7 +230,7 @@ class LoadSolver:
 
     def _starts(
         self, problem: Loads, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
-    ) -> Iterator[tuple[np.ndarray, _Chosen | None, bool]]:
+    ) -> Iterator[tuple[np.ndarray, Chosen | None, bool]]:
         """Forces to begin from, loads that are prescribed, if they are, and whether steps are halved."""
         present = scaled.unknowns(forces)
         if not self.guess_first:
@@ -254,10 +249,10 @@ class LoadSolver:
                     loaded = np.zeros(count, dtype=bool)
                     loaded[list(places)] = True
                     for signs in product((1.0, -1.0), repeat=scaled.choices - count):
-                        yield np.zeros(present.size), _Chosen(loaded, signs), False
+                        yield np.zeros(present.size), Chosen(loaded, signs), False
         if np.isinf(problem.mu).any():
             yield scaled.unknowns(_grown(problem, forces)), None, True
-        if scaled.discs:
+        if scaled.discs.size:
             yield scaled.unknowns(problem.solve(np.nan_to_num(forces))[0]), None, False
             yield present, None, True
 
@@ -280,169 +275,6 @@ def _grown(problem: Loads, forces: np.ndarray) -> np.ndarray:
         elif solver.solve(grown, forces, lambda speed: None):
             forces = solver.forces
     return forces
-
-
-class _Chosen(NamedTuple):
-    """Which normal forces are there, and the signs of the loads of the discs in `ScaledLoads.signed`."""
-
-    loaded: np.ndarray
-    signs: tuple[float, ...]
-
-
-class ScaledLoads:
-    """The problem in unknowns y without units: normal forces and those of discs, in the order of their rows."""
-
-    def __init__(self, problem: Loads) -> None:
-        m = problem.base.size
-        sticks = np.where(problem.mu > 0.0, problem.tangents, 0.0)
-        present = np.column_stack([sticks > 0.0, sticks > 1.0, problem.normal > 0.0])
-        self.rows = np.flatnonzero(present)
-        places = np.cumsum(present) - 1
-        self.normals = places[2::3][present[:, 2]]
-        diagonal = problem.gram.diagonal().reshape(-1, 3).mean(axis=1)
-        scale = np.repeat(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 3)
-        self.scale = scale[self.rows]
-        self.largest = float(np.abs(problem.base).max(initial=0.0)) or 1.0
-        self.unit = unit = float(np.abs(scale * problem.base)[self.rows].max(initial=0.0)) or 1.0
-        drag = np.eye(m) if problem.drag is None else problem.drag
-        self.expand = drag[:, self.rows] * self.scale
-        self.operator = self.scale[:, None] * (problem.gram @ self.expand)[self.rows]
-        self.base = self.scale * problem.base[self.rows] / unit
-        own = (problem.gram.diagonal() * scale**2)[self.rows][self.normals]
-        share = drag.diagonal()[self.rows][self.normals]
-        own = np.where(share > 0.0, share, 1.0) * own
-        self.passive = self.operator.diagonal()[self.normals] <= PAINLEVE_LIMIT * own
-        self.discs: list[_Disc] = []
-        for i in np.flatnonzero(sticks):
-            pair = slice(2 * i, 2 * i + 2)
-            self.discs.append(
-                _Disc(
-                    np.arange(places[3 * i], places[3 * i] + int(sticks[i])),
-                    float(problem.coefficients[i]) / scale[3 * i],
-                    problem.radius_base[pair] / unit,
-                    problem.radius_rows[pair] @ self.expand,
-                    bool(problem.normal[i] > 0.0 and problem.radius_rows[2 * i, 3 * i + 2] == 1.0),
-                    problem.along[pair][: int(sticks[i])],
-                )
-            )
-
-        # friction of known direction is linear in a load of known sign
-        self.signed = [
-            disc for disc in self.discs if disc.direction.any() and not disc.base[1] and not disc.rows[1].any()
-        ]
-        self.curved = len(self.discs) > len(self.signed)
-        self.choices = self.normals.size + len(self.signed)
-
-    def forces(self, y: np.ndarray) -> np.ndarray:
-        """(3n,) forces of unknowns."""
-        return self.unit * (self.expand @ y)
-
-    def unknowns(self, forces: np.ndarray) -> np.ndarray:
-        """The unknowns in forces (3n,) along the problem's rows."""
-        return np.nan_to_num(forces[self.rows] / (self.scale * self.unit))
-
-    def newton(self, y: np.ndarray, chosen: _Chosen | None = None, halved: bool = False) -> tuple[np.ndarray, float]:
-        """The zero that Newton's method comes to from there, and its residual, infinite where that is no solution.
-
-        chosen: loads that are prescribed; halved: whether steps are halved until values fall.
-        """
-        best, least = y, math.inf
-        for step in range(_NEWTON_STEPS):
-            values, jacobian = self.equations(y, chosen)
-            if not (np.isfinite(values).all() and np.isfinite(jacobian).all()):
-                break
-            residual = _relative(values, y)
-            if residual < least:
-                best, least = y, residual
-                if residual <= 1e-3 * TOLERANCE:
-                    break
-            elif least <= TOLERANCE:
-                break
-            change = -np.linalg.lstsq(jacobian, values, rcond=RANK_TOLERANCE)[0]
-            part, size = 1.0, float(values @ values) if halved else 0.0
-            for _ in range(_HALVINGS if halved else 0):
-                there, _ = self.equations(y + part * change, chosen)
-                if there @ there < (1.0 - _FALL * part) * size:
-                    break
-                part *= 0.5
-            y = y + part * change
-            if chosen is not None and not self.curved and step == 1:
-                break
-        return best, least if self._admissible(best, chosen) else math.inf
-
-    def residual(self, y: np.ndarray) -> float:
-        """How far the unknowns are from a zero."""
-        return _relative(self.equations(y)[0], y)
-
-    def is_lost(self, y: np.ndarray) -> bool:
-        """Whether the operator of what is loaded at a zero has lost positivity: its determinant, positive without
-        friction, is negative. From this zero compliances lead away, and as a rule there are others."""
-        jacobian = self.equations(y)[1]
-        sizes = np.linalg.norm(jacobian, axis=1)
-        jacobian = jacobian / np.where(sizes > 0.0, sizes, 1.0)[:, None]
-        singular = np.linalg.svd(jacobian, compute_uv=False)
-        alone = singular.size and singular[-1] > COMMON_LIMIT * singular[0]
-        return bool(alone and np.linalg.slogdet(jacobian)[0] < 0.0)
-
-    def equations(self, y: np.ndarray, chosen: _Chosen | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What has to vanish, and its derivative; chosen: see `newton`."""
-        identity, w = np.eye(y.size), self.operator @ y + self.base
-        values, jacobian = w.copy(), self.operator.copy()
-        pressed = (y - w)[self.normals] > 0.0 if chosen is None else chosen.loaded
-        open_ones = self.normals[~pressed]
-        values[open_ones], jacobian[open_ones] = y[open_ones], identity[open_ones]
-        signs = {} if chosen is None else dict(zip(map(id, self.signed), chosen.signs))
-        for disc in self.discs:
-            places = disc.places
-            radius, slope = disc.radius(y, signs.get(id(disc)))
-            if disc.direction.any():
-                values[places] = y[places] + radius * disc.direction
-                jacobian[places] = identity[places] + np.outer(disc.direction, slope)
-                continue
-            p = y[places] - w[places]
-            # no square of what diverges
-            size = math.hypot(*p.tolist())
-            if size <= radius:
-                continue
-            along = p / size
-            values[places] = y[places] - radius * along
-            turn = radius / size * (np.eye(places.size) - np.outer(along, along))
-            jacobian[places] = identity[places] - turn @ (identity[places] - self.operator[places])
-            jacobian[places] -= np.outer(along, slope)
-        return values, jacobian
-
-    def _admissible(self, y: np.ndarray, chosen: _Chosen | None) -> bool:
-        """Whether nothing pulls or closes; a contact whose own force would not part the bodies carries nothing."""
-        small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-        loads, w = y[self.normals], (self.operator @ y + self.base)[self.normals]
-        signs = () if chosen is None else chosen.signs
-        agree = all(disc.radius(y, sign)[0] >= -small for disc, sign in zip(self.signed, signs))
-        return bool(agree and (loads >= -small).all() and (w >= -small).all() and (loads[self.passive] <= small).all())
-
-
-def _relative(values: np.ndarray, y: np.ndarray) -> float:
-    return float(np.abs(values).max(initial=0.0)) / (1.0 + float(np.abs(y).max(initial=0.0)))
-
-
-@dataclass
-class _Disc:
-    """A disc in unknowns: its places among them, its factor, a and B; own: its load is the unit's normal force, of
-    which there is none below zero; direction: that of slip, zero where it has none."""
-
-    places: np.ndarray
-    factor: float
-    base: np.ndarray
-    rows: np.ndarray
-    own: bool
-    direction: np.ndarray
-
-    def radius(self, y: np.ndarray, sign: float | None = None) -> tuple[float, np.ndarray]:
-        """At the unknowns y, and its derivative (unknowns,); sign: that of the load, if it is prescribed."""
-        load = self.base + self.rows @ y
-        if sign is not None:
-            return self.factor * sign * float(load[0]), self.factor * sign * self.rows[0]
-        length = max(float(load[0]), 0.0) if self.own else math.hypot(*load)
-        return self.factor * length, (self.factor / length if length > 0.0 else 0.0) * (load @ self.rows)
 
 
 @entry_kernel(

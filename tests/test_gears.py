@@ -138,3 +138,51 @@ def test_flanks_that_are_next_to_each_other_pass_their_tips(seed, options):
     assert run.status == 0, run.message
     assert run.contacts["teeth"].gap[0] == pytest.approx(gap, abs=1e-9)
     np.testing.assert_allclose(run.v[-1], v, rtol=1e-12)
+
+
+@pytest.mark.parametrize("step", [2e-4, 1e-4, 5e-5])
+def test_a_pawl_rattles_in_the_valley_of_a_ratchet(step):
+    """It leaves two flanks, which it touches again within one step: the one that it touches first is not behind the
+    other, though it is let go. Such a step was tried again and again."""
+    axes = np.array([0.0, 0.0]), np.array([0.061333156899364645, 0.06692035786426917])
+    tip = -axes[1] + [0.0, 0.05765075782207417]
+    outer, inner, teeth, undercut = 0.05613298947955303, 0.04699204151823831, 17, -0.028683732021289998
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, -9.81, 0.0])
+    masses = (1.0, np.zeros(2), 0.0021660568189145217), (0.1, 0.5 * tip, 3.206401350153528e-05)
+    for name, place, (mass, centre, inertia) in zip(("wheel", "pawl"), axes, masses):
+        joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3(np.eye(3), np.append(place, 0.0)), name)
+        body = pin.Inertia(mass, np.append(centre, 0.0), inertia * np.eye(3))
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        model.addBodyFrame(f"{name} body", joint, pin.SE3.Identity(), 0)
+    model.upperDryFrictionLimit = np.array([0.002806649473977652, 0.0])
+    model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
+    scene = pc.Scene(model)
+    end = scene.add_contour(
+        "tip", pc.Circle(0.00039510855293598685), "pawl body", pin.SE3(np.eye(3), np.append(tip, 0.0))
+    )
+
+    def polar(radius, angle):
+        return radius * np.array([math.cos(angle), math.sin(angle)])
+
+    valley = polar(inner, 6.0 * math.pi / teeth)
+    crests = (polar(outer, 2.0 * math.pi * k / teeth - undercut) for k in (3, 4))
+    # both go on a little behind the valley
+    for name, first, last in (("left", next(crests), valley), ("right", valley, next(crests))):
+        length = float(np.linalg.norm(last - first))
+        domain = (0.0, 1.15 * length) if name == "left" else (-0.15 * length, length)
+        turn = pin.utils.rotate("z", math.atan2(*(last - first)[::-1]))
+        flank = scene.add_contour(name, pc.Line(domain), "wheel body", pin.SE3(turn, np.append(first, 0.0)))
+        scene.add_contact(name, end, flank, side=1, restitution=0.3)
+    q, v = [0.40025416609672837, 0.16939636190797494], [-0.008050668896289578, -0.00691597604008623]
+    state = scene.initial_state(q, v, free=["left", "right"])
+
+    def torques(t, q, v):
+        drive = -0.08733975205980611 + 0.15905822440008122 * math.sin(2.869968169617364 * (t + 0.4325))
+        spring = 0.3776454309087665 * (0.4303042191778054 - q[1])
+        return np.array([drive - 1.1226596e-4 * v[0], spring - 1.1226596e-5 * v[1]])
+
+    runs = [pc.simulate(scene, state, 0.05, control=torques, **kind) for kind in ({}, {"method": "Moreau", "dt": step})]
+    assert [run.status for run in runs] == [0, 0]
+    # where rebounds of 1e-8 m leave it
+    np.testing.assert_allclose(runs[1].q[-1], runs[0].q[-1], rtol=0.0, atol=1e-5)

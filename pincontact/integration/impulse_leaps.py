@@ -86,7 +86,7 @@ def has_come_to_another(system, c):
 def puts_later_ones_off(system, step):
     """Whether the solution lets go what touches in the step by an impulse of what touches so much later that bodies
     have gone into each other by then, as where they come over an edge; what touches later is left to the next step."""
-    counts, units, first = step.counts, step.units, math.inf
+    counts, units, first, found = step.counts, step.units, math.inf, False
     for u in range(counts.units):
         unit, c = units[u], units[u].index
         if unit.kind != ON_CONTACT or unit.touches == 0 or step.cone_modes[u] != cone.OPEN:
@@ -94,9 +94,10 @@ def puts_later_ones_off(system, step):
         speed, known_to = -step.start_normal[c, 0], APART_AT_END * system.contact_real[c, LENGTH]
         for other in range(counts.units):
             later = units[other].impulse_time - unit.impulse_time
-            if units[other].touches != 0 and step.cone_forces[3 * other + 2] > 0.0 and later * speed > known_to:
+            pushes = units[other].touches != 0 and step.cone_forces[3 * other + 2] > 0.0
+            if pushes and later > 0.0 and later * speed > known_to:
                 first = min(first, unit.impulse_time)
     for u in range(counts.units):
         if units[u].kind == ON_CONTACT and units[u].touches != 0 and units[u].impulse_time > first:
-            step.put_off[units[u].index] = 1
-    return first < math.inf
+            step.put_off[units[u].index], found = 1, True
+    return found

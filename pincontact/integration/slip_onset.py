@@ -424,9 +424,13 @@ class SlipOnset:
         """`_trial_step`, and the items whose slip beside friction turns too fast for it, and which are followed."""
         if not self.system.scalars.turning_rate * tau > STIFF:
             return self._trial_step(t, tau), []
-        beside = self._prescribe_beside()
+        system, beside = self.system, self._prescribe_beside()
         took = follow_slips(self.rk, t, dict.fromkeys(beside, 0), tau, _SHORTEST_START * tau, lambda *_: 1.0)
-        return self._trial_step(t, tau) if took is None else took, beside
+        if took is not None:
+            return took, beside
+        # with constant directions what comes to rest would go on behind that
+        system.contact_int[beside, FROZEN] = 0
+        return self._trial_step(t, tau), []
 
     def _turning(self) -> list[int]:
         """What slides in a direction that it may change."""

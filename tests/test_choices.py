@@ -250,3 +250,48 @@ def test_loads_shared_with_bilateral_contacts_are_told(held, pressed, step):
     assert (np.abs(run.q[-1] - exact.q[-1]).max() < 2.0 * step**2) == same
     slides = not math.isinf(held.sliding) and max(held.sliding, pressed.sliding) > 0.0
     assert (run.stats["open_loads"] > 0) == ("leave open" in run.message) == slides
+
+
+def box_and_capsule(seed, beside):
+    """A box with its centre of mass off its middle that slides on four corners, alone or with a capsule at rest 5 m
+    away: a start, and how many coordinates are the box's."""
+    rng = np.random.default_rng(seed)
+    mass, half, mu = rng.uniform(0.3, 2.0), rng.uniform(0.05, 0.15, 3), rng.uniform(0.1, 0.6)
+    body = pin.Inertia.FromBox(mass, *(2.0 * half))
+    body.lever = rng.uniform(-0.3, 0.3, 3) * half
+    model = one_body(pin.JointModelFreeFlyer(), body, "box")
+    turn = rng.uniform(0.0, 6.28)
+    q = [0.0, 0.0, half[2], 0.0, 0.0, math.sin(turn / 2), math.cos(turn / 2)]
+    v = [*rng.uniform(-0.6, 0.6, 2), 0.0, 0.0, 0.0, rng.uniform(-6.0, 6.0)]
+    if beside:
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "second")
+        model.appendBodyToJoint(joint, pin.Inertia.FromCapsule(1.0, 0.1, 0.3), pin.SE3.Identity())
+        model.addBodyFrame("capsule", joint, pin.SE3.Identity(), 0)
+        q, v = [*q, 5.0, 0.0, 0.1, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)], [*v, *np.zeros(6)]
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for sign in (1, -1) if beside else ():
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15 * sign]))
+        scene.add_contact(
+            f"end {sign}", scene.add_contour(f"end {sign}", pc.Sphere(0.1), "capsule", place), floor, pc.Coulomb(0.8)
+        )
+    for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        corner = scene.add_contour(f"{x} {y}", pc.Point(), "box", pin.SE3(np.eye(3), half * [x, y, -1.0]))
+        scene.add_contact(f"{x} {y}", corner, floor, friction=pc.Coulomb(mu))
+    return scene, scene.initial_state(q, v)
+
+
+# in time stepping a load at zero is one to the accuracy of its solver, from which the next ones are the nearest
+@pytest.mark.parametrize(
+    ("options", "apart"), [({"rtol": 1e-9, "atol": 1e-11}, 1e-7), ({"method": "Moreau", "dt": 1e-3}, 2e-2)]
+)
+@pytest.mark.parametrize("seed", [22, 34, 41, 43, 49])
+def test_bodies_elsewhere_do_not_decide_how_loads_are_shared(seed, options, apart):
+    """A body that rests leaves the loads of one that slides as they are: they were taken for the central ones of what
+    sticks, up to 0.2 m/s off."""
+    runs = [pc.simulate(*box_and_capsule(seed, beside), 0.1, t_eval=[0.02, 0.1], **options) for beside in (False, True)]
+    assert [run.status for run in runs] == [0, 0]
+    if "rtol" in options:
+        assert runs[0].message == runs[1].message
+    for alone, whole in ((runs[0].q, runs[1].q[:, :7]), (runs[0].v, runs[1].v[:, :6])):
+        np.testing.assert_allclose(whole, alone, rtol=0.0, atol=apart)

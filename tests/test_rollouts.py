@@ -19,8 +19,8 @@ from test_stepper import bouncing
 import pincontact as pc
 from pincontact.friction.centred import null_space
 from pincontact.integration import impulse_cones
+from pincontact.integration.impulse_choices import may_be_redundant
 from pincontact.integration.impulse_layout import STEP, step_workspace
-from pincontact.integration.impulse_trial import may_be_redundant
 from pincontact.layout import FREE, SLIPPING, STICK
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import array_entry
 from ..friction.centred import Choice, central_choice, null_space
+from ..friction.choices import connected_groups
 from ..geometry.patterns import ON_CURVE
 from ..jit import INTEGER, REAL, SEVERAL, kernel
 from ..layout import (
@@ -62,22 +63,36 @@ _MOVES = 1e-6
 
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
-    some slide while others stick, joints are held, or torques resist turning."""
+    of what acts on each other some slide while others stick, joints are held, or torques resist turning."""
     count = system.counters.row_count
     if count == system.counters.row_rank:
         return False
-    modes = system.contact_int[:, MODE].tolist()
+    modes, mu = system.contact_int[:, MODE].tolist(), system.contact_real[:, MU].tolist()
     if SLIPPING not in modes or not (STICK in modes or system.ng or system.nr):
         return False
-    mu = system.contact_real[:, MU].tolist()
-    closed, resisting = system.closed(), system.resisting()
-    slides = any(modes[i] == SLIPPING and mu[i] > 0.0 for i in [*closed, *resisting])
-    if not slides or not (resisting or system.held() or any(modes[c] == STICK and mu[c] > 0.0 for c in closed)):
-        return False
-    rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
-    _, singular, right = np.linalg.svd(rows @ directions.T)
-    changes = right[singular <= REDUNDANT * singular[0]] @ directions
-    return bool(np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max())
+    index = system.row_index[:count, 0]
+    for group in row_groups(system):
+        items = set(index[group].tolist())
+        rubbing = [i for i in items if not system.nc <= i < system.nc + system.ng and mu[i] > 0.0]
+        slides, sticks = (any(modes[i] == mode for i in rubbing) for mode in (SLIPPING, STICK))
+        if slides and (sticks or any(i >= system.nc for i in items)):
+            rows, directions = system.whitened_rows[group], system.whitened_forces[group]
+            _, singular, right = np.linalg.svd(rows @ directions.T)
+            changes = right[singular <= REDUNDANT * singular[0]] @ directions
+            if np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max():
+                return True
+    return False
+
+
+def row_groups(system: System) -> list[np.ndarray]:
+    """The constraint rows of the last evaluation, by places in `row_index`, in groups that act on each other. Of loads
+    that redundant contacts share each group has its own."""
+    count = system.counters.row_count
+    if system.is_one_tree:
+        return [np.arange(count)]
+    rows, items = system.whitened_rows[:count], system.row_index[:count, 0]
+    owners = np.array([system.owner(i) if i < system.nc or i >= system.nc + system.ng else i for i in items.tolist()])
+    return connected_groups((rows @ rows.T != 0.0) | (owners[:, None] == owners))
 
 
 class RedundantForces:
@@ -102,40 +117,77 @@ class RedundantForces:
         if count == system.counters.row_rank:
             # of independent rows there is one choice
             return False
-        index = system.row_index[:count].copy()
-        closed, modes = system.closed(), system.contact_int[:, MODE].tolist()
-        slipping = any(modes[c] == SLIPPING for c in [*closed, *system.resisting()])
-        if slipping and count == len(closed):
-            # no force but loads to choose
-            return self._choose_least_loads(t, evaluate, ended)
-        rows = system.whitened_rows[:count]
-        directions = system.whitened_forces[:count] if slipping else rows
-        if not np.isfinite(directions).all():
-            return False
-        # along what no joint moves there is no force
-        moves = rows.any(axis=1)
-        if not moves.any():
-            return False
-        # in slip the constraints leave open what moves bodies, too, see `leaves_loads_open`: if that were kept, forces
-        # would depend on the choices before
-        null = null_space(directions[moves] @ rows.T if slipping else directions[moves])
-        self.redundant = null.shape[1] > 0
-        forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(index.tolist()) if slipping else ():
-            if row == 2 and c < system.nc and held_up_by_friction(system, c):
-                forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        (parts, offsets), before = self._cones(index), self.reference()
-        parts = np.ascontiguousarray(parts[:, moves])
-        found = central_choice(forces[moves], null, parts, offsets)
-        if found is None:
-            return False
-        self._follow(index[moves], found)
-        if evaluate(t) <= EVENT and self._holds():
-            self.redistributions += 1
+        items, normals, slips = system.row_index[:count, 0].copy(), {*system.closed()}, self._slipping()
+        groups = [(group, items[group].tolist()) for group in row_groups(system)]
+        # where there are normals alone, and something slips, there is no force but loads to choose
+        loads = [
+            of for _, of in groups if not slips.isdisjoint(of) and normals.issuperset(of) and len({*of}) == len(of)
+        ]
+        sliding = {c for of in loads for c in of}
+        others = [group for group, of in groups if not sliding.issuperset(of)]
+        signs, before = system.contact_int[:, NORMAL_SIGN].copy(), self.reference()
+        found = True
+        if sliding:
+            found = self._choose_least_loads(
+                t, evaluate, sorted(sliding), ended if ended in sliding or not others else None
+            )
+        if found and others:
+            chosen = self._choose_centre(t, evaluate, others)
+            # loads have been chosen, if nothing else
+            found = bool(sliding) if chosen is None else chosen
+        if found:
             return True
+        system.contact_int[:, NORMAL_SIGN] = signs
         self.take_back(before)
         evaluate(t)
         return False
+
+    def _slipping(self) -> set[int]:
+        """Contacts that slip, or turn against a resistance."""
+        system, modes = self.system, self.system.contact_int[:, MODE].tolist()
+        return {system.owner(i) for i in [*system.closed(), *system.resisting()] if modes[i] == SLIPPING}
+
+    def _choose_centre(self, t: float, evaluate: Callable[[float], int], groups: list[np.ndarray]) -> bool | None:
+        """Choose the central ones among redundant forces of these groups of rows: whether all lie inside their cones
+        then; None where there is no choice."""
+        system, count, slips = self.system, self.system.counters.row_count, self._slipping()
+        index, rows = system.row_index[:count].copy(), system.whitened_rows[:count]
+        forces, items = system.force[index[:, 0], index[:, 1]], index[:, 0]
+        parts, offsets = self._cones(index)
+        choices: list[Choice] = []
+        followed: list[np.ndarray] = []
+        self.redundant = False
+        for group in groups:
+            # along what no joint moves there is no force
+            moving = group[rows[group].any(axis=1)]
+            slipping = not slips.isdisjoint(items[group].tolist())
+            directions = (system.whitened_forces[:count] if slipping else rows)[moving]
+            if not moving.size:
+                continue
+            if not np.isfinite(directions).all():
+                return False
+            for r, (c, row) in zip(group.tolist(), index[group].tolist()) if slipping else ():
+                if row == 2 and c < system.nc and held_up_by_friction(system, c):
+                    forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
+            # in slip the constraints leave open what moves bodies, too, see `leaves_loads_open`: if that were kept,
+            # forces would depend on the choices before
+            null = null_space(directions @ rows[moving].T if slipping else directions)
+            self.redundant = self.redundant or null.shape[1] > 0
+            own = np.repeat(parts[:, group].reshape(offsets.size // 3, -1).any(axis=1), 3)
+            cones = np.ascontiguousarray(parts[own][:, moving]), offsets[own]
+            choice = central_choice(forces[moving], null, *cones)
+            if choice is not None:
+                choices.append(choice)
+                followed.append(index[moving])
+            elif null.shape[1]:
+                return False
+        if not choices:
+            return None
+        self._follow(np.concatenate(followed), choices)
+        if evaluate(t) > EVENT or not self._holds({i for group in groups for i in items[group].tolist()}):
+            return False
+        self.redistributions += 1
+        return True
 
     def choose(self, t: float, evaluate: Callable[[float], int]) -> bool:
         """Choose redundant forces of the present modes as if there had been no others; whether all forces lie inside
@@ -165,8 +217,11 @@ class RedundantForces:
             system.contact_int[c, MODE] = FRICTIONLESS
         system.contact_int[c, NORMAL_SIGN] = 1
 
-    def _choose_least_loads(self, t: float, evaluate: Callable[[float], int], ended: int | None) -> bool:
-        """Give the loads of what slides the least values that are not negative; False where contacts open instead.
+    def _choose_least_loads(
+        self, t: float, evaluate: Callable[[float], int], closed: list[int], ended: int | None
+    ) -> bool:
+        """Give the loads of these contacts, which slide, the least values that are not negative; False where contacts
+        open instead.
 
         A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads
         then are continuous in time; those without it enter again where the least ones ask for them.
@@ -174,8 +229,8 @@ class RedundantForces:
         """
         system = self.system
         integers = system.contact_int
-        before, reference = integers[:, NORMAL_SIGN].copy(), self.reference()
-        closed = [c for c in system.closed() if not shares_viscous_force(system, c)]
+        before = integers[:, NORMAL_SIGN].copy()
+        closed = [c for c in closed if not shares_viscous_force(system, c)]
         if ended is not None and ended not in closed:
             return False
         seen = set()
@@ -200,16 +255,20 @@ class RedundantForces:
             # a bilateral one has a load of the other sign
             integers[worst, NORMAL_SIGN] = integers[worst, UNILATERAL] - integers[worst, NORMAL_SIGN]
             status = evaluate(t)
-        integers[:, NORMAL_SIGN] = before
-        self.take_back(reference)
-        evaluate(t)
         return False
 
-    def _follow(self, index: np.ndarray, choice: Choice) -> None:
-        """Take the choice for the reference, and let that move as the choice will. index (count, 2): the rows."""
+    def _follow(self, index: np.ndarray, choices: list[Choice]) -> None:
+        """Take the choices for the reference, and let that move as they will. index (count, 2): the rows of all."""
         system = self.system
-        slope, span = np.ascontiguousarray(choice.slope.T), np.ascontiguousarray(choice.span.T)
-        put_choice(index, choice.forces, slope, span, system.reference_start, system.reference_slope)
+        forces = np.concatenate([choice.forces for choice in choices])
+        slope, span = np.zeros((2, sum(choice.span.shape[1] for choice in choices), forces.size))
+        row = column = 0
+        for choice in choices:
+            n, rank = choice.span.shape
+            slope[row : row + rank, column : column + n] = choice.slope.T
+            span[row : row + rank, column : column + n] = choice.span.T
+            row, column = row + rank, column + n
+        put_choice(index, forces, slope, span, system.reference_start, system.reference_slope)
         system.scalars.has_reference = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
@@ -242,10 +301,13 @@ class RedundantForces:
         count = put_cones(*contacts, *joints, system.force, index, system.nc, system.ng, parts, offsets)
         return parts[: 3 * count], offsets[: 3 * count]
 
-    def _holds(self) -> bool:
-        """Whether every force of the last evaluation lies inside its cone."""
+    def _holds(self, among: set[int] | None = None) -> bool:
+        """Whether every force of the last evaluation lies inside its cone; among: of which items, with what resists
+        their turning, where not of all."""
         system = self.system
         active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
+        if among is not None:
+            active = [i for i in active if not among.isdisjoint((i, system.owner(i)))]
         event_functions = system.event_functions.tolist()
         return all(
             event_functions[i][NORMAL_EVENT] >= 0.0 and event_functions[i][FRICTION_EVENT] >= 0.0 for i in active

@@ -498,6 +498,11 @@ class System(Workspace):
         """Whether contact c resists turning."""
         return bool(self.contact_int[c, SPINNING_ROW] + self.contact_int[c, ROLLING_ROW])
 
+    @cached_property
+    def is_one_tree(self) -> bool:
+        """Whether the joints are one tree, so that whatever acts on one part acts on all."""
+        return sum(self.model.parents[j] == 0 for j in range(1, self.model.njoints)) < 2
+
     def owner(self, item: int) -> int:
         """The contact that item, a contact or a resistance, belongs to."""
         return int(self.contact_int[item, OWNER]) if item >= self.nc + self.ng else item

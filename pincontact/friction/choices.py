@@ -25,6 +25,8 @@ from .loads import TOLERANCE, Loads
 
 # What may be left of the largest b where the equations contradict each other by no more than round-off.
 _LEFT = 1e-9
+# What `Units` know of each.
+_OF_UNITS = ("friction", "real", "loads", "modes", "forces", "velocities")
 # Of loads that may go either way so many choices are tried.
 _SIGNS_TRIED = 16
 
@@ -58,6 +60,28 @@ class Units:
         b[k] = -weights * base
         real[of, 2], parents[of] = True, of
         return replace(self, gram=gram, base=b, real=real, parents=parents)
+
+    def groups(self) -> list[np.ndarray]:
+        """The units that act on each other."""
+        n = self.modes.size
+        coupled = (self.gram != 0.0).reshape(n, 3, n, 3).any(axis=(1, 3)) | np.eye(n, dtype=bool)
+        limited = np.flatnonzero(self.parents >= 0)
+        coupled[limited, self.parents[limited]] = coupled[self.parents[limited], limited] = True
+        return connected_groups(coupled)
+
+    def part(self, members: np.ndarray) -> Units:
+        """The problem of a group of units."""
+        if members.size == self.modes.size:
+            return self
+        rows, places = rows_of(members), np.full(self.modes.size + 1, -1)
+        places[members] = np.arange(members.size)
+        return replace(
+            self,
+            gram=self.gram[np.ix_(rows, rows)],
+            base=self.base[rows],
+            parents=places[self.parents[members]],
+            **{name: getattr(self, name)[members] for name in _OF_UNITS},
+        )
 
 
 def holding_forces(units: Units, only: bool = False) -> np.ndarray | None:
@@ -94,8 +118,34 @@ def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndar
     return None
 
 
-def chosen_forces(units: Units) -> np.ndarray | None:
-    """(3n,) forces of these modes as the rule has them; None where there is no choice, or nothing slides."""
+def connected_groups(coupled: np.ndarray) -> list[np.ndarray]:
+    """Numbers of what is coupled, directly or by others; coupled (n, n): symmetric, True on its diagonal."""
+    labels, n = np.arange(len(coupled)), len(coupled)
+    while True:
+        least = np.where(coupled, labels, n).min(axis=1, initial=n)
+        if (least == labels).all():
+            return [np.flatnonzero(labels == label) for label in np.unique(labels)]
+        labels = least
+
+
+def chosen_forces(units: Units, among: np.ndarray | None = None) -> np.ndarray | None:
+    """(3n,) forces of these modes as the rule has them, for each group of units that act on each other by itself; None
+    where there is no choice, or nothing slides. among (n,): units of which groups, where not of all."""
+    forces, chosen = units.forces.ravel().copy(), False
+    for members in units.groups():
+        found = None if among is not None and not among[members].any() else _chosen_in_group(units.part(members))
+        if found is not None:
+            forces[rows_of(members)], chosen = found, True
+    return forces if chosen else None
+
+
+def rows_of(members: np.ndarray) -> np.ndarray:
+    """The three rows of each of these units."""
+    return (3 * members[:, None] + np.arange(3)).ravel()
+
+
+def _chosen_in_group(units: Units) -> np.ndarray | None:
+    """`chosen_forces` of one group."""
     rests = rows_at_rest(units.gram, units.base, units.forces.ravel())
     touches = (units.modes == OPEN) & (units.parents == np.arange(rests.shape[0])) & rests[:, 2]
     modes = np.where(touches, SLIP, units.modes)

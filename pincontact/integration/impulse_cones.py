@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..friction.choices import Units, chosen_forces, holding_forces, holding_loads
+from ..friction.choices import Units, chosen_forces, holding_forces, holding_loads, rows_of
 from ..friction.cone import OPEN, SLIP, STICK
 from ..friction.feasibility import crushing_combination
 from ..friction.loads import RADII_TOLERANCE, Loads
@@ -149,15 +149,30 @@ class ImpulseSolver:
         parents, units = problem.units["parent"], problem.units
         turns = (units["kind"] == ON_TURN) & (parents >= 0) & held[parents]
         turns &= ~self._turning(problem) | (units["touches"][parents] != 0)
-        tries = (np.where(sticks, STICK, before[0]) for sticks in (rests, rests | turns, rests | opened | turns))
-        for modes in {modes.tobytes(): modes for modes in tries}.values():
-            if self._holds(problem, modes, before, held):
+        return all(
+            self._hold_group(problem, members, held, (rests, rests | turns, rests | opened | turns))
+            for members in problem.with_solution(*before).groups()
+            if (rests | opened)[members].any()
+        )
+
+    def _hold_group(
+        self, problem: _Problem, members: np.ndarray, held: np.ndarray, tries: tuple[np.ndarray, ...]
+    ) -> bool:
+        """The same of a group of units that act on each other. tries (n,): what is to stick."""
+        before, own = self.solver.kept(), np.zeros(held.size, dtype=bool)
+        own[members] = True
+        wanted = (np.where(sticks & own, STICK, before[0]) for sticks in tries)
+        for modes in {modes.tobytes(): modes for modes in wanted}.values():
+            if self._holds(problem, members, modes, before, held & own):
                 return True
-        solver.warm_start(*before)
+        self.solver.warm_start(*before)
         return False
 
-    def _holds(self, problem: _Problem, modes: np.ndarray, before: Solution, held: np.ndarray) -> bool:
-        """Whether there are forces in these modes (n,), which are the solver's then; held (n,): what must not slip."""
+    def _holds(
+        self, problem: _Problem, members: np.ndarray, modes: np.ndarray, before: Solution, held: np.ndarray
+    ) -> bool:
+        """Whether there are forces of these units in these modes (n,), which are the solver's then; held (n,): what
+        must not slip."""
         units = problem.with_solution(modes, *before[1:])
         loaded = problem.units["kind"] == ON_LOADED
         if (loaded & (modes == STICK)).any():
@@ -169,9 +184,11 @@ class ImpulseSolver:
             self._take(coupled, *solution)
             self._counts["coupled"] = TOGETHER
             return True
-        found = holding_forces(units)
-        if found is None:
+        own = holding_forces(units.part(members))
+        if own is None:
             return False
+        found = units.forces.ravel().copy()
+        found[rows_of(members)] = own
         velocities = problem.gram @ found + problem.base
         velocities[np.repeat(modes == STICK, 3)] = 0.0
         self.solver.residual = residual = self._solve_near(problem, modes, found, velocities)
@@ -196,7 +213,7 @@ class ImpulseSolver:
         solver = self.solver
         solver.address(problem.n)
         before = solver.kept()
-        found = chosen_forces(problem.with_solution(*before))
+        found = chosen_forces(problem.with_solution(*before), problem.units["chooses"] != 0)
         if found is None:
             return
         residual = self._solve_near(problem, before[0], found, problem.gram @ found + problem.base)

@@ -14,7 +14,7 @@ from .momentum_transport import INERTIA_SIZE
 # and equations; touched: whether anything touches in the step; reviews, sharings: how often its solution was looked at,
 # and how often parts of viscous friction were changed; rigid: whether the laws hold for velocities in the midpoint's
 # geometry, see `impulse_problem`; coupled, holding, choosing: see below; open_loads: problems in which the rule for
-# redundant forces leaves loads open, see `impulse_steps._leaves_choice`. Of a trial step: passes over its midpoint
+# redundant forces leaves loads open, see `impulse_choices`. Of a trial step: passes over its midpoint
 # before the present one; has_trend: what the midpoint's velocity follows from, trend_before: the same in the first
 # pass; thorough: whether its cone problems are solved with all means; changed: whether anything discrete is another
 # since the last step; jumped: the contact whose bodies a motion has moved by a jump. Of a run: steps done, the last
@@ -85,9 +85,9 @@ ACTUATOR = np.dtype(
 # others only fill up the cone; touches: whether it closes in the step, struck: or impulses of what does act on it;
 # midpoint: whether slip is opposed along the mean of its velocities at both ends; at_rest: whether it holds up to its
 # coefficient of sticking; slid: whether it slid at the step's start; held: whether it stays at rest if any forces hold
-# it; tied: whether its normal velocity follows from the equations, which then carry its load, too. Row r of a unit that
-# resists turning is about basis vector axis + r; parent is the unit of its contact, -1 where equations give its normal
-# impulse.
+# it; tied: whether its normal velocity follows from the equations, which then carry its load, too; group: the first of
+# the units that act on each other, chooses: whether the rule chooses their forces. Row r of a unit that resists turning
+# is about basis vector axis + r; parent is the unit of its contact, -1 where equations give its normal impulse.
 # impulse_time: s after the step's start at which its impulse acts; approach and free_rate: its normal velocity before
 # the impact and the rate of that, shift: the rebound less what the smooth forces take back of it; load: normal impulse
 # that is taken as given; sliding: its coefficient in slip, sticking_again: that up to which it holds where its slip
@@ -95,7 +95,7 @@ ACTUATOR = np.dtype(
 UNIT = np.dtype(
     [
         *((name, INTEGERS) for name in ("kind", "index", "mask", "touches", "midpoint", "at_rest", "slid", "held")),
-        *((name, INTEGERS) for name in ("tied", "struck")),
+        *((name, INTEGERS) for name in ("tied", "struck", "group", "chooses")),
         *((name, INTEGERS) for name in ("axis", "parent")),
         *((name, REALS) for name in ("impulse_time", "approach", "free_rate", "shift")),
         *((name, REALS) for name in ("load", "sliding", "sticking_again", "unpressed")),

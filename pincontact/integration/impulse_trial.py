@@ -41,6 +41,7 @@ from ..layout import (
 from ..linalg import inner, whiten
 from ..workspace import square
 from .accuracy import APART_AT_END
+from .impulse_choices import leaves_choice, may_be_redundant
 from .impulse_drives import driven_apart
 from .impulse_layout import (
     ACCELERATION,
@@ -56,7 +57,6 @@ from .impulse_layout import (
     ON_CONTACT,
     ON_JOINT,
     ON_LOADED,
-    ON_TURN,
     STEP,
     UNASKED,
     WANTED,
@@ -85,9 +85,6 @@ FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM, TAKEN = range(6)
 _FAR = 0.06
 _CORRECTIONS = 8
 _LOST = 0.08
-# Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
-# singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
-_INDEPENDENT = 1e-9
 # A gap below this, relative to the contact's length, is zero.
 _ON_SURFACE = 1e-13
 
@@ -280,75 +277,6 @@ def _slide_on(step, n):
 
 
 @kernel
-def may_be_redundant(step, nv, n, factor, row_of):
-    """Whether forces of the n units may be redundant. They are not where the rows are independent: the least eigenvalue
-    of their Gram matrix, scaled to a unit diagonal, is at least its determinant over e. Friction that acts on nothing
-    does not count, as that across a mechanism which moves in a plane: it is zero, and any other would hold less.
-
-    factor (m, m), row_of (m,): room for so many rows; where there are more, they may be redundant.
-    """
-    whitened, delassus = step.whitened, square(step.delassus, 3 * n)
-    count, room, determinant = 0, row_of.shape[0], 1.0
-    for r in range(3 * n):
-        if step.units[r // 3].mask >> r % 3 & 1 == 0:
-            continue
-        size = inner(whitened[r], whitened[r], nv)
-        if size == 0.0 and r % 3 < 2:
-            continue
-        if size == 0.0 or count == room:
-            return True
-        rest, own = size, factor[count]
-        for j in range(count):
-            other = factor[j]
-            own[j] = (delassus[r, row_of[j]] - inner(own, other, j)) / other[j]
-            rest -= own[j] * own[j]
-        determinant *= rest / size
-        if not determinant > _INDEPENDENT:
-            return True
-        own[count], row_of[count] = math.sqrt(rest), r
-        count += 1
-    return False
-
-
-@kernel
-def _leaves_choice(step, n):
-    """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
-    that is not yet what the rule has it, since it depends on the last forces.
-
-    Where others stick, joints are held, or torques resist turning, rigid bodies leave loads open: that is counted, and
-    with such torques the choice is left as it is. So do loads that unilateral contacts share with bilateral ones, which
-    get all of them here.
-    """
-    tied = slips = False
-    for u in range(n):
-        tied = tied or (step.units[u].tied != 0 and step.units[u].touches == 0)
-        slips = slips or (step.units[u].kind < ON_JOINT and step.cone_modes[u] == cone.SLIP and step.friction[u] > 0.0)
-    if tied and slips:
-        step.counts.open_loads += 1
-        return False
-    address = step.cone_tables[n]
-    if address == 0 or step.counts.coupled != APART:
-        return False
-    known = cone.cone_at(address).counts
-    if known[cone.CHOICES] == 0:
-        return False
-    slides = holds = turns = rests = False
-    for u in range(n):
-        kind, slips, sticks = step.units[u].kind, step.cone_modes[u] == cone.SLIP, step.cone_modes[u] == cone.STICK
-        on_contact = kind == ON_CONTACT and step.friction[u] > 0.0
-        turns = turns or (kind == ON_TURN and slips)
-        rests = rests or (kind == ON_TURN and not slips)
-        slides = slides or (on_contact and slips)
-        # dry friction at rest; a limit has no friction: what is held there slips
-        joint_held = kind == ON_JOINT and (sticks or (slips and step.friction[u] == 0.0))
-        holds = holds or (on_contact and sticks) or joint_held
-    resists = turns or rests
-    if (slides and (holds or resists)) or (turns and holds):
-        step.counts.open_loads += 1
-    return slides and not resists and known[cone.FOLLOWS] != 0
-
-
-@kernel
 def _impulses(system, step, found):
     """Cone problem and end of the step; a status, or CONE_LEFT. found: see FRESH."""
     counts = step.counts
@@ -380,7 +308,7 @@ def _impulses(system, step, found):
         if counts.holding == IN_VAIN:
             counts.holding = LOOKED_FOR
             _stay_otherwise(step, n)
-        if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):
+        if counts.choosing == 0 and n > 0 and leaves_choice(step, n):
             counts.choosing = 1
             return CONE_LEFT
         found = FRESH

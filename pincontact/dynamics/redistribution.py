@@ -44,7 +44,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
-from .units import REDUNDANT
+from .units import REDUNDANT, whiten
 
 if TYPE_CHECKING:
     from .system import System
@@ -70,13 +70,14 @@ def leaves_loads_open(system: System) -> bool:
     modes, mu = system.contact_int[:, MODE].tolist(), system.contact_real[:, MU].tolist()
     if SLIPPING not in modes or not (STICK in modes or system.ng or system.nr):
         return False
-    index = system.row_index[:count, 0]
+    index = system.row_index[:count]
     for group in row_groups(system):
-        items = set(index[group].tolist())
+        items = set(index[group, 0].tolist())
         rubbing = [i for i in items if not system.nc <= i < system.nc + system.ng and mu[i] > 0.0]
         slides, sticks = (any(modes[i] == mode for i in rubbing) for mode in (SLIPPING, STICK))
         if slides and (sticks or any(i >= system.nc for i in items)):
-            rows, directions = system.whitened_rows[group], system.whitened_forces[group]
+            # projections change the order of whitened rows
+            rows, directions = whiten(system, system.rows[tuple(index[group].T)].T).T, system.whitened_forces[group]
             _, singular, right = np.linalg.svd(rows @ directions.T)
             changes = right[singular <= REDUNDANT * singular[0]] @ directions
             if np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max():
@@ -88,11 +89,18 @@ def row_groups(system: System) -> list[np.ndarray]:
     """The constraint rows of the last evaluation, by places in `row_index`, in groups that act on each other. Of loads
     that redundant contacts share each group has its own."""
     count = system.counters.row_count
-    if system.is_one_tree:
+    if system.trees.shape[1] < 2:
         return [np.arange(count)]
-    rows, items = system.whitened_rows[:count], system.row_index[:count, 0]
-    owners = np.array([system.owner(i) if i < system.nc or i >= system.nc + system.ng else i for i in items.tolist()])
-    return connected_groups((rows @ rows.T != 0.0) | (owners[:, None] == owners))
+    index = system.row_index[:count]
+    trees = (system.rows[tuple(index.T)] != 0.0) @ system.trees
+    owners = np.array([system.owner(i) for i in index[:, 0].tolist()])
+    return connected_groups((trees @ trees.T > 0.0) | (owners[:, None] == owners))
+
+
+def items_beside(system: System, c: int) -> set[int]:
+    """Contact c, and the items whose constraint rows of the last evaluation act on its own."""
+    items = system.row_index[: system.counters.row_count, 0]
+    return {i for group in row_groups(system) if c in items[group] for i in items[group].tolist()}
 
 
 class RedundantForces:

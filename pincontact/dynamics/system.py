@@ -499,9 +499,16 @@ class System(Workspace):
         return bool(self.contact_int[c, SPINNING_ROW] + self.contact_int[c, ROLLING_ROW])
 
     @cached_property
-    def is_one_tree(self) -> bool:
-        """Whether the joints are one tree, so that whatever acts on one part acts on all."""
-        return sum(self.model.parents[j] == 0 for j in range(1, self.model.njoints)) < 2
+    def trees(self) -> np.ndarray:
+        """(nv, trees) of which tree of joints each velocity coordinate is: one acts on another by contacts alone."""
+        model, tree = self.model, [-1]
+        for j in range(1, model.njoints):
+            tree.append(tree[model.parents[j]] if model.parents[j] else max(tree) + 1)
+        found = np.zeros((self.nv, max(tree, default=-1) + 1))
+        for j in range(1, model.njoints):
+            first = model.joints[j].idx_v
+            found[first : first + model.joints[j].nv, tree[j]] = 1.0
+        return found
 
     def owner(self, item: int) -> int:
         """The contact that item, a contact or a resistance, belongs to."""

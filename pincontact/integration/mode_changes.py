@@ -13,6 +13,7 @@ from ..dynamics.contact_modes import set_normal
 from ..dynamics.energy import energies_at
 from ..dynamics.mode_loads import AT_REST
 from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
+from ..dynamics.redistribution import items_beside
 from ..dynamics.units import REDUNDANT, whiten
 from ..layout import (
     DIRECTION_X,
@@ -371,7 +372,8 @@ class ModeChanges:
         loads = self._loads()
         if loads[c] > 0.0:
             return c, kind
-        limited = self.at_limit()
+        beside = items_beside(system, c)
+        limited = [i for i in self.at_limit() if i in beside]
         return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_EVENT) if limited else (c, NORMAL_EVENT)
 
     def at_limit(self, within: float = _AT_LIMIT, among: list[int] | None = None) -> list[int]:

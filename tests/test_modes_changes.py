@@ -89,7 +89,7 @@ class Items:
 
     def __init__(self, nc, ng=0, nr=0, nv=6, seed=0):
         rng = np.random.default_rng(seed)
-        self.nc, self.ng, self.nr, self.nv = nc, ng, nr, nv
+        self.nc, self.ng, self.nr, self.nv, self.trees = nc, ng, nr, nv, np.ones((nv, 1))
         n = self.items = nc + ng + nr
         self.contact_int, self.contact_real = np.zeros((n, CONTACT_INTS), np.int64), np.zeros((n, CONTACT_REALS))
         self.contact_int[:, [TANGENTS, MODE, UNILATERAL, NORMAL_SIGN]] = 2, STICK, 1, 1
@@ -917,7 +917,7 @@ def test_a_choice_is_followed_along_its_tangent(seed):
     basis = np.linalg.qr(rng.normal(size=(6, 6)))[0]
     span, null = basis[:, :4], basis[:, 4:]
     choice = Choice(rng.normal(size=6), null @ rng.normal(size=(2, 4)), span)
-    solver._follow(index, choice)
+    solver._follow(index, [choice])
     assert system.scalars["has_reference"] == 1.0
     assert reference_at(system, index, choice.forces) == pytest.approx(choice.forces, abs=1e-15)
     change = rng.normal(size=4)
@@ -983,7 +983,7 @@ def test_when_there_is_no_choice(monkeypatch):
     for i, mode in ((0, SLIPPING), (1, SLIPPING)):
         system.contact_int[i, MODE] = mode
         assert solver.redistribute(T, never, 1)
-        assert unload.asked[-1] == (T, never, 1)
+        assert unload.asked[-1] == (T, never, [0, 1], 1)
         system.contact_int[i, MODE] = FRICTIONLESS
     assert len(unload.asked) == 2
     # forces that are not finite, or independent after all
@@ -1058,7 +1058,7 @@ def test_loads_within_round_off_are_none():
     evaluate = Played(
         feet, then=lambda call: feet.event_functions.__setitem__((slice(2), NORMAL_EVENT), [1.0, -0.9e-11])
     )
-    assert ModeSolver(feet)._choose_least_loads(T, evaluate, None)
+    assert ModeSolver(feet)._choose_least_loads(T, evaluate, feet.closed(), None)
     assert len(evaluate.asked) == 1
 
 
@@ -1071,7 +1071,7 @@ def test_loads_of_bilateral_contacts_have_either_sign():
         system.event_functions[:, NORMAL_EVENT] = system.contact_int[:, NORMAL_SIGN] * [2.0, -3.0, 0.5]
 
     evaluate = Played(system, EVENT, then=then)
-    assert ModeSolver(system)._choose_least_loads(T, evaluate, None)
+    assert ModeSolver(system)._choose_least_loads(T, evaluate, system.closed(), None)
     assert system.contact_int[:, NORMAL_SIGN].tolist() == [1, -1, 1]
     assert len(evaluate.asked) == 2
 
@@ -1088,7 +1088,7 @@ def test_least_loads_that_are_not_negative(seed):
     feet = Feet(operator, loads)
     solver = ModeSolver(feet)
     feet.scalars["has_reference"] = 1.0
-    found = solver._choose_least_loads(T, feet, None)
+    found = solver._choose_least_loads(T, feet, feet.closed(), None)
     # what is not found leaves the choice as it was
     assert feet.scalars["has_reference"] == (0.0 if found else 1.0)
     signs = feet.contact_int[:, NORMAL_SIGN].tolist()
@@ -1107,13 +1107,13 @@ def test_least_loads_that_are_not_negative(seed):
     # of one whose load has ended it is known that the sign is the other one; else there is nothing to be had
     wrong = signs.index(1)
     kept = feet.contact_int[:, NORMAL_SIGN].copy()
-    assert not solver._choose_least_loads(T, feet, wrong)
+    assert not solver._choose_least_loads(T, feet, feet.closed(), wrong)
     assert (feet.contact_int[:, NORMAL_SIGN] == kept).all()
-    assert not solver._choose_least_loads(T, never, n)
+    assert not solver._choose_least_loads(T, never, feet.closed(), n)
     if 0 in signs:
         feet.contact_int[signs.index(0), NORMAL_SIGN] = 1
         before, feet.evaluations = solver.redistributions, 0
-        assert solver._choose_least_loads(T, feet, signs.index(0))
+        assert solver._choose_least_loads(T, feet, feet.closed(), signs.index(0))
         # with that sign at once
         assert (solver.redistributions, feet.evaluations) == (before + 1, 1)
         assert feet.contact_int[:, NORMAL_SIGN].tolist() == signs

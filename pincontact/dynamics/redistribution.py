@@ -72,10 +72,12 @@ def leaves_loads_open(system: System) -> bool:
         return False
     index = system.row_index[:count]
     for group in row_groups(system):
-        items = set(index[group, 0].tolist())
-        rubbing = [i for i in items if not system.nc <= i < system.nc + system.ng and mu[i] > 0.0]
-        slides, sticks = (any(modes[i] == mode for i in rubbing) for mode in (SLIPPING, STICK))
-        if slides and (sticks or any(i >= system.nc for i in items)):
+        items = {*index[group, 0].tolist()}
+        turning = [i for i in system.resisting() if system.owner(i) in items]
+        rubbing = [c for c in items if c < system.nc and mu[c] > 0.0]
+        slides = any(modes[i] == SLIPPING and mu[i] > 0.0 for i in [*rubbing, *turning])
+        held = turning or any(i >= system.nc for i in items) or any(modes[c] == STICK for c in rubbing)
+        if slides and held:
             # projections change the order of whitened rows
             rows, directions = whiten(system, system.rows[tuple(index[group].T)].T).T, system.whitened_forces[group]
             _, singular, right = np.linalg.svd(rows @ directions.T)
@@ -134,20 +136,17 @@ class RedundantForces:
         sliding = {c for of in loads for c in of}
         others = [group for group, of in groups if not sliding.issuperset(of)]
         signs, before = system.contact_int[:, NORMAL_SIGN].copy(), self.reference()
-        found = True
-        if sliding:
-            found = self._choose_least_loads(
-                t, evaluate, sorted(sliding), ended if ended in sliding or not others else None
-            )
-        if found and others:
-            chosen = self._choose_centre(t, evaluate, others)
-            # loads have been chosen, if nothing else
-            found = bool(sliding) if chosen is None else chosen
-        if found:
+        chosen_for = ended if ended in sliding or not others else None
+        if sliding and not self._choose_least_loads(t, evaluate, sorted(sliding), chosen_for):
+            return False
+        chosen = self._choose_centre(t, evaluate, others) if others else True
+        # loads have been chosen, if nothing else
+        if chosen or (sliding and chosen is None):
             return True
-        system.contact_int[:, NORMAL_SIGN] = signs
-        self.take_back(before)
-        evaluate(t)
+        if sliding:
+            system.contact_int[:, NORMAL_SIGN] = signs
+            self.take_back(before)
+            evaluate(t)
         return False
 
     def _slipping(self) -> set[int]:
@@ -191,11 +190,14 @@ class RedundantForces:
                 return False
         if not choices:
             return None
+        before = self.reference()
         self._follow(np.concatenate(followed), choices)
-        if evaluate(t) > EVENT or not self._holds({i for group in groups for i in items[group].tolist()}):
-            return False
-        self.redistributions += 1
-        return True
+        if evaluate(t) <= EVENT and self._holds({i for group in groups for i in items[group].tolist()}):
+            self.redistributions += 1
+            return True
+        self.take_back(before)
+        evaluate(t)
+        return False
 
     def choose(self, t: float, evaluate: Callable[[float], int]) -> bool:
         """Choose redundant forces of the present modes as if there had been no others; whether all forces lie inside
@@ -237,7 +239,7 @@ class RedundantForces:
         """
         system = self.system
         integers = system.contact_int
-        before = integers[:, NORMAL_SIGN].copy()
+        before, reference = integers[:, NORMAL_SIGN].copy(), self.reference()
         closed = [c for c in closed if not shares_viscous_force(system, c)]
         if ended is not None and ended not in closed:
             return False
@@ -263,6 +265,9 @@ class RedundantForces:
             # a bilateral one has a load of the other sign
             integers[worst, NORMAL_SIGN] = integers[worst, UNILATERAL] - integers[worst, NORMAL_SIGN]
             status = evaluate(t)
+        integers[:, NORMAL_SIGN] = before
+        self.take_back(reference)
+        evaluate(t)
         return False
 
     def _follow(self, index: np.ndarray, choices: list[Choice]) -> None:

@@ -122,3 +122,32 @@ def test_steppers_tell_jumps_too():
     with pytest.raises(pc.SolverError, match="a motion jumps"):
         stepper.step(np.zeros(6), 100)
     assert stepper.t == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("bilateral", [False, True])
+@pytest.mark.parametrize("law", [None, pc.NoSlip(), pc.Coulomb(0.3)])
+@pytest.mark.parametrize("jump", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.2), (0.0, 0.0, -0.2), (0.3, 0.0, 0.2)])
+def test_a_velocity_that_jumps_at_a_breakpoint_throws_a_ball(jump, law, bilateral, method):
+    """A ball that rolls on a plate: what cannot slip, and what cannot part, receives an impulse. Without friction, the
+    plate moves it up and down alone; with friction its own velocity becomes 2/7 of the plate's and 5/7 of what it
+    was, once it rolls again. Where it can part it does as the plate goes down, and comes back."""
+    jump, radius, at = np.array(jump), 0.1, 0.1
+
+    def plate(t):
+        moving = t >= at
+        pose = pin.SE3(np.eye(3), moving * (t - at) * jump)
+        return pose, np.append(moving * jump, np.zeros(3)), np.zeros(6)
+
+    scene = pc.Scene(free_body(1.0, np.full(3, 0.4 * radius**2)))
+    ball, ground = scene.add_contour("ball", pc.Sphere(radius), "body"), pc.Plane()
+    ground = scene.add_contour("plate", ground, motion=pc.CallableMotion(plate))
+    scene.add_contact("c", ball, ground, friction=law, bilateral=bilateral)
+    state = scene.initial_state([0.0, 0.0, radius, 0.0, 0.0, 0.0, 1.0], [0.2, 0.0, 0.0, 0.0, 2.0, 0.0])
+    run = pc.simulate(scene, state, 0.4, method=method, breakpoints=[at], energies=True)
+    assert run.status == 0, run.message
+    rolls = 2.0 / 7.0 if law is not None else 0.0
+    v = pin.XYZQUATToSE3(run.q[-1]).rotation @ run.v[-1, :3]
+    np.testing.assert_allclose(v, [0.2 + rolls * jump[0], rolls * jump[1], jump[2]], rtol=0.0, atol=1e-8)
+    # the plate's impulse puts in what the ball gains
+    assert np.abs(run.energies().balance).max() < 1e-8

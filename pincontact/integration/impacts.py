@@ -115,9 +115,9 @@ class Impacts:
                 return self.touch(after, i)
         return after
 
-    def stop_joints(self, t: float) -> float:
-        """Joints have struck ends of their ways, and are held there: impulses as in `touch`, in which contacts take
-        part that touch at the same instant."""
+    def collide_alone(self, t: float) -> float:
+        """Joints have struck ends of their ways, and are held there, or a motion has jumped: impulses as in `touch`, in
+        which contacts take part that touch at the same instant."""
         due = self._due()
         if due:
             return self.touch(t, due[0])

@@ -162,6 +162,9 @@ class Transitions:
                 raise jump_apart(t, self.reports.names[c], system.gaps[c, 0])
         energy, before = changes.counted_energy(), system.contact_int[:, MODE].copy()
         undecided = self._modes_from_velocities(t)
+        if self._contradicts_equations():
+            struck = self.strike(t)
+            return self.impacts.collide_alone(t) if struck is None else struck
         for c in [*system.closed(), *system.resisting()]:
             if before[c] == STICK and system.contact_int[c, MODE] == SLIPPING:
                 self.reports.announce_friction(t, c, True)
@@ -172,6 +175,13 @@ class Transitions:
         self._open_ahead(t)
         struck = self.strike(t)
         return self.onset.start(t) if struck is None else struck
+
+    def _contradicts_equations(self) -> bool:
+        """Whether velocities, which have jumped, are none that closed contacts allow: impulses put that right."""
+        system, changes = self.system, self.changes
+        ideal = [c for c in system.closed() if system.contact_real[c, MU] == math.inf]
+        slips = any(changes.slip_speed(c) > REST_SPEED for c in ideal)
+        return slips or any(abs(gap_rate(system, c)) > REST_SPEED for c in system.closed())
 
     def _evaluate(self, t: float) -> int:
         """Evaluate a state whose modes are not decided yet; its status, if forces are all that may be missing."""
@@ -203,7 +213,7 @@ class Transitions:
         stops = self.joints.stop_those_at_ends(t)
         if self._striking:
             return self.impacts.touch(t, self._striking[0])
-        return self.impacts.stop_joints(t) if stops else None
+        return self.impacts.collide_alone(t) if stops else None
 
     # ---------------------------------------------------------------- events
 
@@ -278,7 +288,7 @@ class Transitions:
         if not chosen and kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
-            return self.impacts.stop_joints(t)
+            return self.impacts.collide_alone(t)
         ended = {c: np.zeros(3)} if kind == SPEED_EVENT else {}
         after = self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
         if not ended:

@@ -79,8 +79,11 @@ def _read(file: str) -> tuple[bytes, tuple[str, ...]]:
 
 @functools.cache
 def source_hash(file: str) -> str:
-    """Key of all that the machine code of a file's kernels depends on: it, what it imports, numba, where they are."""
+    """Key of all that the machine code of a file's kernels depends on: it, what it imports, numba, where they are. Of a
+    file elsewhere, which may call any kernel by any name: the whole package."""
     reached, waiting = {file}, [file]
+    if not Path(file).is_relative_to(_PACKAGE):
+        reached.update(map(str, _PACKAGE.rglob("*.py")))
     while waiting:
         new = [path for path in _read(waiting.pop())[1] if path not in reached]
         reached.update(new)

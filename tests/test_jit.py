@@ -94,8 +94,28 @@ def test_kernels_that_cannot_be_compiled_say_why(tmp_path, monkeypatch):
         Entry(numba.njit(cache=True)(meaningless), (types.int64,), tmp_path, CALLED).compile()
 
 
-def test_the_key_follows_all_that_a_file_imports(tmp_path):
+def test_the_key_of_a_file_elsewhere_follows_the_package(tmp_path, monkeypatch):
+    """By whatever name it calls kernels of the package."""
+    package, own = tmp_path / "package", tmp_path / "own.py"
+    (package / "inner").mkdir(parents=True)
+    (package / "inner" / "kernels.py").write_text("a = 1\n")
+    own.write_text("from pincontact.inner.kernels import a\n")
+    monkeypatch.setattr(jit, "_PACKAGE", package)
+
+    def key():
+        for cached in (jit.source_hash, jit._read, jit._names_in):
+            cached.cache_clear()
+        return jit.source_hash(str(own))
+
+    before = key()
+    assert key() == before
+    (package / "inner" / "kernels.py").write_text("a = 2\n")
+    assert key() != before
+
+
+def test_the_key_follows_all_that_a_file_imports(tmp_path, monkeypatch):
     """By modules and by names, over several files and around a circle; not what it does not import."""
+    monkeypatch.setattr(jit, "_PACKAGE", tmp_path)
     texts = {
         "one/first.py": "from ..two import middle\n",
         "two/__init__.py": "",

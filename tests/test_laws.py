@@ -177,3 +177,16 @@ def test_laws_without_a_kernel_are_refused(law):
     # they used to slide with the coefficient at the onset of slip, whatever their speed
     with pytest.raises(FrictionError, match=f"'foot': no kernel computes the coefficient of {type(law).__name__}"):
         sliding_point(law).initial_state(np.zeros(3), [1.0, 0.0, 0.0])
+
+
+class Rising(Stribeck):
+    """None as slip starts."""
+
+    @property
+    def onset(self):
+        return 0.0
+
+
+def test_a_law_without_friction_as_slip_starts_is_refused():
+    with pytest.raises(FrictionError, match=r"'foot': .* has no friction as slip starts"):
+        sliding_point(Rising(0.3, 0.3, 0.02)).initial_state(np.zeros(3), [1.0, 0.0, 0.0])

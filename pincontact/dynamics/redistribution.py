@@ -180,7 +180,7 @@ class RedundantForces:
             # forces would depend on the choices before
             null = null_space(directions @ rows[moving].T if slipping else directions)
             self.redundant = self.redundant or null.shape[1] > 0
-            own = np.repeat(parts[:, group].reshape(offsets.size // 3, -1).any(axis=1), 3)
+            own = np.repeat(parts[:, group].reshape(offsets.size // 3, 3 * group.size).any(axis=1), 3)
             cones = np.ascontiguousarray(parts[own][:, moving]), offsets[own]
             choice = central_choice(forces[moving], null, *cones)
             if choice is not None:

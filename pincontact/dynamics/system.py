@@ -543,6 +543,10 @@ def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -
             f"contact {contact.name!r}: no kernel computes the coefficient of {type(law).__name__}, which depends on "
             "slip speed"
         )
+    if law.onset == 0.0 < law.sliding:
+        raise FrictionError(
+            f"contact {contact.name!r}: {law} has no friction as slip starts, and kernels take that for none"
+        )
     numbers[MU] = numbers[MU_NOW] = law.onset
     numbers[MU_FAST], numbers[MU_STATIC] = law.sliding, law.sticking
     numbers[VISCOUS], numbers[SPINNING], numbers[ROLLING] = law.viscous, law.spinning, law.rolling

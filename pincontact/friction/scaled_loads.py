@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import INTEGERS, REALS, array_entry, item_type
 from ..jit import CALLED, INTEGER, REAL, kernel
-from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm
+from ..linalg import RANK_TOLERANCE, inner, largest_entry, least_norm, orthonormal_basis, subtract_row
 from ..workspace import by_name
 from .cone import COMMON_LIMIT, PAINLEVE_LIMIT
 
@@ -118,7 +118,7 @@ class ScaledLoads:
             normals["loaded"] = chosen.loaded
             discs["sign"][discs["signed"] != 0] = chosen.signs
         y = np.array(y)
-        room = np.empty((m, m)), np.empty((m + 1, m)), np.empty((_VECTORS, m)), np.empty(m, np.int64)
+        room = np.empty((_MATRICES, m, m)), np.empty((_VECTORS, m)), np.empty(m, np.int64)
         return y, find_zero(self.operator, self.base, normals, discs, self.radius_rows, y, steps, halved, *room)
 
     def residual(self, y: np.ndarray) -> float:
@@ -235,9 +235,37 @@ def _admissible(operator, base, normals, discs, rows, y, slope):
     return True
 
 
+@kernel
+def _least_squares(matrices, values, change, scratch, shares, order):
+    """The least change (m,) of those that leave the least of the values by a Jacobian, the first of the matrices, which
+    is singular: in orthonormal bases of what its rows and its columns span it is regular."""
+    m, jacobian, other, of_rows, of_columns = change.shape[0], matrices[0], matrices[1], matrices[2], matrices[3]
+    for i in range(m):
+        for j in range(m):
+            other[i, j] = jacobian[i, j]
+    rank = orthonormal_basis(other, RANK_TOLERANCE, of_rows)
+    for i in range(m):
+        for j in range(m):
+            other[i, j] = jacobian[j, i]
+    rank = min(rank, orthonormal_basis(other, RANK_TOLERANCE, of_columns))
+    for i in range(rank):
+        scratch[i] = -inner(of_columns[i], values, m)
+        for j in range(m):
+            shares[j] = 0.0
+        for k in range(m):
+            subtract_row(shares, jacobian[k], -of_columns[i, k])
+        for j in range(rank):
+            other[i, j] = inner(shares, of_rows[j], m)
+    least_norm(other, scratch, rank, rank, shares, jacobian, order, 0.0)
+    for j in range(m):
+        change[j] = 0.0
+    for i in range(rank):
+        subtract_row(change, of_rows[i], -shares[i])
+
+
 _MATRIX, _VECTOR = REAL[:, ::1], REAL[::1]
 _PROBLEM = _MATRIX, _VECTOR, item_type(NORMAL)[::1], item_type(DISC)[::1], _MATRIX
-_VECTORS = 5
+_MATRICES, _VECTORS = 4, 5
 
 
 @array_entry(*_PROBLEM, _VECTOR, _VECTOR, _MATRIX, _VECTOR, when=CALLED)
@@ -246,11 +274,11 @@ def equations_at(operator, base, normals, discs, rows, y, values, jacobian, slop
     write_equations(operator, base, normals, discs, rows, y, values, jacobian, slope)
 
 
-@array_entry(*_PROBLEM, _VECTOR, INTEGER, INTEGER, _MATRIX, _MATRIX, _MATRIX, INTEGER[::1], when=CALLED)
-def find_zero(operator, base, normals, discs, rows, y, steps, halved, jacobian, gram, vectors, order):
-    """See `ScaledLoads.newton`: y is overwritten, the residual returned. jacobian (m, m), gram (m + 1, m), vectors
+@array_entry(*_PROBLEM, _VECTOR, INTEGER, INTEGER, REAL[:, :, ::1], _MATRIX, INTEGER[::1], when=CALLED)
+def find_zero(operator, base, normals, discs, rows, y, steps, halved, matrices, vectors, order):
+    """See `ScaledLoads.newton`: y is overwritten, the residual returned. matrices (_MATRICES, m, m), vectors
     (_VECTORS, m), order (m,): scratch for m unknowns."""
-    m = y.shape[0]
+    m, jacobian, gram = y.shape[0], matrices[0], matrices[1]
     values, change, there, best, slope = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     least, linear = math.inf, True
     for k in range(normals.shape[0]):
@@ -275,7 +303,9 @@ def find_zero(operator, base, normals, discs, rows, y, steps, halved, jacobian, 
         size = inner(values, values, m)
         for j in range(m):
             values[j] = -values[j]
-        least_norm(jacobian, values, m, m, change, gram, order, RANK_TOLERANCE)
+        if least_norm(jacobian, values, m, m, change, gram, order, RANK_TOLERANCE) < m:
+            write_equations(operator, base, normals, discs, rows, y, values, jacobian, slope)
+            _least_squares(matrices, values, change, there, slope, order)
         part = 1.0
         for _ in range(_HALVINGS if halved != 0 else 0):
             for j in range(m):

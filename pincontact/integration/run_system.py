@@ -25,8 +25,8 @@ class RunSystem(System):
         # blocks of rows to be recorded, by their width, which all runs of this system fill
         self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
         self.allocate(run_ny=ny, run_items=items)
-        # see `accuracy.set_accuracy`
-        self.gap_accuracy = self.lowest_resolved = self.lowest_rebounds = self.rebound_speeds = np.zeros(self.items)
+        # see `accuracy.set_accuracy`; zero in time stepping
+        self.gap_accuracy, self.lowest_resolved, self.lowest_rebounds, self.rebound_speeds = np.zeros((4, self.items))
         self.lasting_rebounds = np.zeros(self.items, dtype=bool)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()

@@ -98,3 +98,32 @@ def test_a_touch_that_was_not_seen_is_looked_for_again(misses, monkeypatch):
     np.testing.assert_array_equal(run.t, times)
     fall = np.maximum(0.6 - 0.5 * 9.81 * times**2, 0.1)
     np.testing.assert_allclose(run.q[:, 2], fall, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("turned", range(3))
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_torus_slides_down_a_pole_that_it_touches_twice(swapped, turned):
+    """The far side of its tube is no third place, though it is inside the pole by the width of the tube where the near
+    side touches: runs ended there, or not, by the order of names and the world's axes."""
+    major, minor, pole, mass = 0.9313583604593519, 0.036975227615555877, 0.36104271916971203, 1.8918066005874985
+    moments = mass * major**2 * np.array([0.5, 0.5, 1.0])
+    world = np.eye(3)
+    if turned:
+        world = pin.Quaternion(
+            *(lambda x: x / np.linalg.norm(x))(np.random.default_rng(99 + 2 * turned).normal(size=4))
+        )
+        world = world.matrix()
+    scene = pc.Scene(one_body(pin.JointModelFreeFlyer(), pin.Inertia(mass, np.zeros(3), np.diag(moments))))
+    scene.model.gravity.linear = world @ [0.0, 0.0, -9.81]
+    contours = [
+        scene.add_contour("torus", pc.Torus(major, minor), "body"),
+        scene.add_contour("pole", pc.Cylinder(pole), placement=pin.SE3(world, np.zeros(3))),
+    ]
+    for name in ("first", "second"):
+        scene.add_contact(name, *contours[:: -1 if swapped else 1], friction=pc.Coulomb(0.8))
+    lean = world @ pin.Quaternion(0.99587279, 0.09076008, 0.0, 0.0).normalized().matrix()
+    q = [*world @ [major - minor - pole, 0.0, 0.0], *pin.Quaternion(lean).coeffs()]
+    v = [-0.7175534698, 0.1710621777, -1.8508866656, 0.9040371579, 6.0515715845, 1.2161515143]
+    run = pc.simulate(scene, scene.initial_state(q, v, max_gap=0.3 * major, free=["second"]), 2.0)
+    assert run.status == 0, run.message
+    assert any(event.kind == "touch" and event.contact == "second" for event in run.events)

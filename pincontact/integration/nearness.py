@@ -310,8 +310,9 @@ class Nearness:
         shallow = SHALLOW * self.system.contact_real[self.c, LENGTH]
         way = TOO_FAR * max(self.near, self.distance) if self.changing else self.moved(t)
         deepest = max(way, shallow) if self.distance > -math.inf else shallow
-        slack = float(self.system.gap_accuracy[self.c])
-        apart = self.search.distance(t, places_of(self.system, self.taken, self.c))
+        slack, same = float(self.system.gap_accuracy[self.c]), SAME_PLACE * self.system.contact_real[self.c, LENGTH]
+        places = places_of(self.system, self.taken, self.c)
+        apart = self.search.distance(t, places)
         if apart > 0.0:
             # wherever stationary points are
             self._take_down(t, apart, apart)
@@ -320,6 +321,12 @@ class Nearness:
             found
             for found in self.find(t)
             # what comes out of where nobody knows that it is inside does not enter
-            if -deepest <= found.gap < 0.0 and not (found.gap >= -slack and self._gap_rate(found, t) > 0.0)
+            if -deepest <= found.gap < 0.0
+            and not (found.gap >= -slack and self._gap_rate(found, t) > 0.0)
+            # through a body from where another contact touches it: a point there is not deep inside
+            and not (
+                found.gap < -shallow
+                and any((np.abs(found.points - place).max(axis=1) < same).any() for place in places)
+            )
         ]
         return min(inside, key=lambda found: found.gap, default=None)

@@ -33,6 +33,7 @@ import numba
 from numba import njit, types
 from numba.extending import register_jitable
 
+from .cores import available_cores
 from .log import log
 
 _PACKAGE = Path(__file__).parent
@@ -309,7 +310,7 @@ def compile_kernels(several: bool = False, stepping: bool = False, called: bool 
     if missing:
         log.info("compiling kernels, once for this version (half a minute or so) ...")
         with tempfile.TemporaryDirectory() as claims:
-            workers = [_start_worker(claims, missing) for _ in range(min(os.cpu_count() or 1, len(missing), _MOST) - 1)]
+            workers = [_start_worker(claims, missing) for _ in range(min(available_cores(), len(missing), _MOST) - 1)]
             for entry in missing:
                 if _claim(claims, entry):
                     entry.compile()

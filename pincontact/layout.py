@@ -308,19 +308,13 @@ SYSTEM = Layout(
     # contacts
     contact_int=(INTEGERS, "items", CONTACT_INTS),  # (nc, CONTACT_INTS)
     contact_real=(REALS, "items", CONTACT_REALS),  # (nc, CONTACT_REALS)
-    side_int=(
-        INTEGERS,
-        "sides",
-        SIDE_INTS,
-    ),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    # side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    side_int=(INTEGERS, "sides", SIDE_INTS),  # (2 nc, SIDE_INTS)
     side_shape=(REALS, "sides", SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
     side_domain=(REALS, "sides", 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
     side_base=(REALS, "sides", 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
-    side_motion=(
-        REALS,
-        "sides",
-        MOTION_SIZE,
-    ),  # (2 nc, 24) prescribed placement relative to the base, and its derivatives
+    # prescribed placement relative to the base, and its derivatives
+    side_motion=(REALS, "sides", MOTION_SIZE),  # (2 nc, 24)
     side_motion_parameters=(REALS, "sides", MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
     support=(INTEGERS, "sides", "some_nv"),  # (2 nc, nv): velocity coordinates, not locked, that move the side's joint
     # results of one evaluation
@@ -386,11 +380,8 @@ SYSTEM = Layout(
     # least and largest event functions of a step's stages, and one choice among redundant forces
     lowest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     highest=(_REALS, "items", EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    reference=(
-        REALS,
-        "items",
-        3,
-    ),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
+    # force along the basis about which the least-norm solution is taken
+    reference=(REALS, "items", 3),  # (nc + ng + nr, 3)
     # how the reference moves: see `equations`
     reference_start=(REALS, "items", 3),  # (nc + ng + nr, 3) when it was chosen
     reference_slope=(REALS, 2, "rows", "nv"),  # (2, 3 (nc + ng + nr), nv)

@@ -36,7 +36,6 @@ from .integration.results import (
 from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import Tableau, tableau
 from .integration.transitions import Transitions
-from .jit import compile_kernels
 from .progress import progress_bar
 from .records import Record
 from .scene import Scene
@@ -308,7 +307,6 @@ def simulate(
 
 def _simulate_by_events(request: _Request, pair: Tableau) -> Trajectory:
     """The run of an event-driven method; with a fallback time stepping goes on where it could not."""
-    compile_kernels()
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=True)
     system = cached.system
@@ -383,7 +381,6 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
     from .integration.moreau_driver import MoreauDriver
     from .integration.stages import load_state
 
-    compile_kernels()
     scene, state = request.scene, request.state
     cached = take_system(scene, request.energies, resistances=False)
     system = cached.system

@@ -154,14 +154,14 @@ def test_sizes(laid_out):
     assert system.whitened_rows.shape == (24, nv)
     assert system.joint_table[:, 1:].tolist() == [[0, 0, 2], [2, 2, 6], [9, 8, 1]]
     assert (system.q == pin.neutral(scene.model)).all()
-    assert system.charted
+    assert system.counters.charted
     assert system.turns
     without = System(scene.model, [], False)
     assert without.ny == nq + nv
     # room for one
     assert without.contact_int.shape == (1, CONTACT_INTS)
     assert len(without.side_int) == 2
-    assert not without.charted
+    assert not without.counters.charted
     # places in the state that are not there, or are found without a start: the first contact's circle has one, the
     # field two, as it has with the ball, which has two
     start = nq + nv

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from ..display import Summary
+from ..dynamics.joints import joint_of
 from ..dynamics.units import unwhiten
-from ..friction.cone_least_squares import ConeSolution
 from .inverse_problem import Problem
 
 # Multipliers below this part of the largest are round-off.
@@ -73,16 +72,5 @@ def certificate_of(
     for c in dict.fromkeys(c for kind, c in acting if kind == "contact"):
         sign = -1.0 if system.contacts[c].swapped else 1.0
         contacts[system.contacts[c].name] = sign * (system.basis[c].T @ (system.rows[c] @ velocity)) / size
-    joints = tuple(dict.fromkeys(_joint_name(system.model, k) for kind, k in acting if kind == "joint"))
+    joints = tuple(dict.fromkeys(joint_of(system.model, k) for kind, k in acting if kind == "joint"))
     return FarkasCertificate(velocity / size, power * wanted, power * least, contacts, joints)
-
-
-def _joint_name(model: pin.Model, index: int) -> str:
-    """The joint of velocity coordinate `index`."""
-    starts = [joint.idx_v for joint in model.joints[1:]]
-    return str(model.names[int(np.searchsorted(starts, index, side="right"))])
-
-
-def multipliers_of_elastic(solution: ConeSolution, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Multipliers of the cones and rows of a region from those of its elastic form (`Region.elastic`)."""
-    return solution.cones, solution.rows[:rows] + solution.rows[rows:]

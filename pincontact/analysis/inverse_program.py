@@ -24,7 +24,7 @@ from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, PATTERN, SLIPPING, TANGENTS, UNILATERAL
 from .actuation import Actuation, read_actuation
-from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic
+from .farkas import FarkasCertificate, certificate_of
 from .instant import Instant
 from .inverse_loads import shares_of
 from .inverse_problem import Options, Problem, Wanted
@@ -275,7 +275,9 @@ class InverseProgram:
             raise SolverError("inverse dynamics: ProxQP found neither forces within the limits nor a reason why")
         if region.contains(found.y[:n]):
             return found.y[:n]
-        on_cones, on_rows = multipliers_of_elastic(found, len(region.rows))
+        # those of a row and of its elastic one
+        count = len(region.rows)
+        on_cones, on_rows = found.cones, found.rows[:count] + found.rows[count:]
         task = np.zeros(problem.span.shape[1])
         at = problem.start + problem.basis @ level.point
         certificate = certificate_of(problem, on_cones, on_rows, task, at)

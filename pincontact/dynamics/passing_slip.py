@@ -36,8 +36,7 @@ _SINGULAR = math.sqrt(RANK_TOLERANCE)
 class PassingSlip:
     """Finds contacts that cannot stick although their slip velocity is zero, and lets them slide on."""
 
-    def __init__(self, system: System) -> None:
-        self.system = system
+    system: System
 
     def _let_pass(self, t: float, undecided: list[int], evaluate: Callable[[float], int]) -> dict[int, float]:
         """Let slide on what cannot stick although its v_c is zero, as at the dead centre of a crank; which, with the

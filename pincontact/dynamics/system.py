@@ -443,11 +443,6 @@ class System(Workspace):
         find_stationary(self.address, starts, branches, np.array(pairs, dtype=np.int64), integers, reals)
         return integers, reals
 
-    @property
-    def charted(self) -> bool:
-        """Whether any contour has charts to move between."""
-        return bool(self.counters.charted)
-
     def alone(self, c: int) -> System:
         """A system of contact c only."""
         return System(self.model, [self.contacts[c]])

@@ -149,11 +149,10 @@ class ImpulseSolver:
         parents, units = problem.units["parent"], problem.units
         turns = (units["kind"] == ON_TURN) & (parents >= 0) & held[parents]
         turns &= ~self._turning(problem) | (units["touches"][parents] != 0)
-        return all(
-            self._hold_group(problem, members, held, (rests, rests | turns, rests | opened | turns))
-            for members in problem.with_solution(*before).groups()
-            if (rests | opened)[members].any()
-        )
+        lets_go, tries = rests | opened, (rests, rests | turns, rests | opened | turns)
+        groups = [members for members in problem.with_solution(*before).groups() if lets_go[members].any()]
+        # all are tried, whatever comes of the first
+        return all([self._hold_group(problem, members, held, tries) for members in groups])
 
     def _hold_group(
         self, problem: _Problem, members: np.ndarray, held: np.ndarray, tries: tuple[np.ndarray, ...]

@@ -42,7 +42,7 @@ from .impulse_trial import APPROVED, CONE_LEFT, FRESH, TAKEN, ask, call_task, fi
 from .impulse_velocities import relative_turning
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
-from .stages import evaluate, hand_over
+from .stages import evaluate, hand_over_start
 from .step_control import BATCH, SLIVER
 from .steps import RECORD
 
@@ -101,10 +101,7 @@ def _begin_contact(system, step, c, largest):
 @kernel
 def _evaluate_start(system, t):
     """Kinematics at STATE, which becomes STAGE_STATE; a status."""
-    state, stage_state = system.state, system.stage_state
-    for i in range(system.sizes.ny):
-        stage_state[i] = state[i]
-    hand_over(system, stage_state)
+    hand_over_start(system)
     return evaluate(system, t, KINEMATICS_OF_ALL)
 
 

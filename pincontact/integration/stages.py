@@ -50,6 +50,15 @@ def evaluate(system, time, part):
     return _call_evaluation(system.callback.evaluation, system, time, part)
 
 
+@kernel
+def hand_over_start(system):
+    """The state at the step's start, STATE, becomes STAGE_STATE, and is handed over."""
+    state, stage_state = system.state, system.stage_state
+    for i in range(system.sizes.ny):
+        stage_state[i] = state[i]
+    hand_over(system, stage_state)
+
+
 @separate_kernel(NOTHING, SYSTEM.type, array_type(REALS, 1))
 def hand_over(system, state):
     """Give a state to Pinocchio (normalised) and to the search for contact coordinates."""

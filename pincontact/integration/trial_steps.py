@@ -12,7 +12,7 @@ from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
 from .slip_at_ends import turns_round
-from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
+from .stages import build_state, error_norm, evaluate, fill_slope, hand_over, hand_over_start
 
 # Error of a step in which slip turns round: no polynomial has it.
 _TURNED = 1e4
@@ -28,10 +28,7 @@ def keep_slope(system, index):
 @separate_kernel(INTEGER, SYSTEM.type, REAL)
 def start(system, t):
     """Evaluate at STATE and store its slope; a status."""
-    state, stage_state = system.state, system.stage_state
-    for i in range(system.sizes.ny):
-        stage_state[i] = state[i]
-    hand_over(system, stage_state)
+    hand_over_start(system)
     status = evaluate(system, t, 0)
     if status <= EVENT:
         keep_slope(system, 0)

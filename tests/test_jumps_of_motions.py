@@ -124,11 +124,10 @@ def test_steppers_tell_jumps_too():
     assert stepper.t == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45"])
 @pytest.mark.parametrize("bilateral", [False, True])
 @pytest.mark.parametrize("law", [None, pc.NoSlip(), pc.Coulomb(0.3)])
 @pytest.mark.parametrize("jump", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.2), (0.0, 0.0, -0.2), (0.3, 0.0, 0.2)])
-def test_a_velocity_that_jumps_at_a_breakpoint_throws_a_ball(jump, law, bilateral, method):
+def test_a_velocity_that_jumps_at_a_breakpoint_throws_a_ball(jump, law, bilateral):
     """A ball that rolls on a plate: what cannot slip, and what cannot part, receives an impulse. Without friction, the
     plate moves it up and down alone; with friction its own velocity becomes 2/7 of the plate's and 5/7 of what it
     was, once it rolls again. Where it can part it does as the plate goes down, and comes back."""
@@ -144,7 +143,7 @@ def test_a_velocity_that_jumps_at_a_breakpoint_throws_a_ball(jump, law, bilatera
     ground = scene.add_contour("plate", ground, motion=pc.CallableMotion(plate))
     scene.add_contact("c", ball, ground, friction=law, bilateral=bilateral)
     state = scene.initial_state([0.0, 0.0, radius, 0.0, 0.0, 0.0, 1.0], [0.2, 0.0, 0.0, 0.0, 2.0, 0.0])
-    run = pc.simulate(scene, state, 0.4, method=method, breakpoints=[at], energies=True)
+    run = pc.simulate(scene, state, 0.4, breakpoints=[at], energies=True)
     assert run.status == 0, run.message
     rolls = 2.0 / 7.0 if law is not None else 0.0
     v = pin.XYZQUATToSE3(run.q[-1]).rotation @ run.v[-1, :3]

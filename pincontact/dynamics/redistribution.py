@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,37 +127,41 @@ class RedundantForces:
         if count == system.counters.row_rank:
             # of independent rows there is one choice
             return False
-        items, normals, slips = system.row_index[:count, 0].copy(), {*system.closed()}, self._slipping()
-        groups = [(group, items[group].tolist()) for group in row_groups(system)]
-        # where there are normals alone, and something slips, there is no force but loads to choose
-        loads = [
-            of for _, of in groups if not slips.isdisjoint(of) and normals.issuperset(of) and len({*of}) == len(of)
-        ]
-        sliding = {c for of in loads for c in of}
-        others = [group for group, of in groups if not sliding.issuperset(of)]
+        slips, others, sliding = self._slipping(), row_groups(system), set()
+        if slips:
+            items, normals = system.row_index[:count, 0], {*system.closed()}
+            groups = [(group, items[group].tolist()) for group in others]
+            # where there are normals alone, and something slips, there is no force but loads to choose
+            alone = [of for _, of in groups if normals.issuperset(of) and len({*of}) == len(of)]
+            sliding = {c for of in alone if not slips.isdisjoint(of) for c in of}
+            others = [group for group, of in groups if not sliding.issuperset(of)]
+        if not sliding:
+            return bool(self._choose_centre(t, evaluate, others, slips))
         signs, before = system.contact_int[:, NORMAL_SIGN].copy(), self.reference()
         chosen_for = ended if ended in sliding or not others else None
-        if sliding and not self._choose_least_loads(t, evaluate, sorted(sliding), chosen_for):
+        if not self._choose_least_loads(t, evaluate, sorted(sliding), chosen_for):
             return False
-        chosen = self._choose_centre(t, evaluate, others) if others else True
         # loads have been chosen, if nothing else
-        if chosen or (sliding and chosen is None):
+        if not others or self._choose_centre(t, evaluate, others, slips) is not False:
             return True
-        if sliding:
-            system.contact_int[:, NORMAL_SIGN] = signs
-            self.take_back(before)
-            evaluate(t)
+        system.contact_int[:, NORMAL_SIGN] = signs
+        self.take_back(before)
+        evaluate(t)
         return False
 
     def _slipping(self) -> set[int]:
         """Contacts that slip, or turn against a resistance."""
         system, modes = self.system, self.system.contact_int[:, MODE].tolist()
+        if SLIPPING not in modes:
+            return set()
         return {system.owner(i) for i in [*system.closed(), *system.resisting()] if modes[i] == SLIPPING}
 
-    def _choose_centre(self, t: float, evaluate: Callable[[float], int], groups: list[np.ndarray]) -> bool | None:
+    def _choose_centre(
+        self, t: float, evaluate: Callable[[float], int], groups: list[np.ndarray], slips: set[int]
+    ) -> bool | None:
         """Choose the central ones among redundant forces of these groups of rows: whether all lie inside their cones
-        then; None where there is no choice."""
-        system, count, slips = self.system, self.system.counters.row_count, self._slipping()
+        then; None where there is no choice. slips: see `_slipping`."""
+        system, count = self.system, self.system.counters.row_count
         index, rows = system.row_index[:count].copy(), system.whitened_rows[:count]
         forces, items = system.force[index[:, 0], index[:, 1]], index[:, 0]
         parts, offsets = self._cones(index)
@@ -180,9 +184,11 @@ class RedundantForces:
             # forces would depend on the choices before
             null = null_space(directions @ rows[moving].T if slipping else directions)
             self.redundant = self.redundant or null.shape[1] > 0
-            own = np.repeat(parts[:, group].reshape(offsets.size // 3, 3 * group.size).any(axis=1), 3)
-            cones = np.ascontiguousarray(parts[own][:, moving]), offsets[own]
-            choice = central_choice(forces[moving], null, *cones)
+            own: Any = slice(None)
+            if len(group) < count:
+                own = np.repeat(parts[:, group].reshape(offsets.size // 3, 3 * len(group)).any(axis=1), 3)
+            cones = parts[own] if len(moving) == count else np.ascontiguousarray(parts[own][:, moving])
+            choice = central_choice(forces[moving], null, cones, offsets[own])
             if choice is not None:
                 choices.append(choice)
                 followed.append(index[moving])
@@ -192,7 +198,9 @@ class RedundantForces:
             return None
         before = self.reference()
         self._follow(np.concatenate(followed), choices)
-        if evaluate(t) <= EVENT and self._holds({i for group in groups for i in items[group].tolist()}):
+        # of all items, unless others have been chosen for already
+        among = None if sum(map(len, groups)) == count else {i for group in groups for i in items[group].tolist()}
+        if evaluate(t) <= EVENT and self._holds(among):
             self.redistributions += 1
             return True
         self.take_back(before)

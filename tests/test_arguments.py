@@ -413,7 +413,7 @@ def test_the_cases_are_complete():
     """Every public name is walked or said not to be; every argument is."""
     errors = {name for name in pc.__all__ if isinstance(getattr(pc, name), type) and "Error" in name}
     public = set(pc.__all__) - errors - RESULTS - set(OTHERS)
-    assert public <= set(CASES), public - set(CASES)
+    assert public <= set(CASES), f"CASES lacks {public - set(CASES)}"
     for name in public:
         _, right, refused, others = CASES[name]
         parameters = set(inspect.signature(getattr(pc, name)).parameters) - {"scene", "state"}

@@ -119,11 +119,10 @@ def test_every_kind_is_in_the_tables_of_the_tests():
         *("HeightField", "ParametricCurve", "ParametricSurface", "Point", "SplineCurve", "SplineSurface"),
         "SurfaceOfRevolution",
     }
-    missing = kinds_of(pc.Contour) - closed - of_functions_or_data
-    assert not missing, f"CURVES and SURFACES lack {missing}"
+    untested = kinds_of(pc.Contour) - closed - of_functions_or_data
     random = {type(make(1.0)).__name__ for table in random_contacts.TABLES.values() for make in table.values()}
     missing = kinds_of(pc.Contour) - random - {"Point"}
-    assert not missing, f"the tables of random_contacts.py lack {missing}"
+    assert not (untested or missing), f"CURVES and SURFACES lack {untested}, the tables of random_contacts.py {missing}"
 
 
 def ellipsoid(a, b, c, chart=0):

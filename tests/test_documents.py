@@ -182,7 +182,8 @@ def test_scene_files_are_described(tmp_path):
             if kind == "HeightField":
                 found |= known("[contours.c]\nkind = 'HeightField'\nz = []")
             assert found == own | keys["contours.NAME"], kind
-    assert described == kinds_of(pc.Contour) | kinds_of(pc.Motion)
+    kinds = kinds_of(pc.Contour) | kinds_of(pc.Motion)
+    assert described == kinds, f"the table of scene_files.md lacks {kinds - described}, or has {described - kinds}"
 
 
 def test_reference_lists_all_public_names():
@@ -191,19 +192,19 @@ def test_reference_lists_all_public_names():
     # of an extra's module
     assert "\n   gym.ContactEnv\n" in text
     missing, unknown = set(pc.__all__) - set(listed), set(listed) - set(pc.__all__)
-    assert not missing and not unknown
+    assert not missing and not unknown, f"api.md lacks {missing}, or has {unknown}"
     assert len(listed) == len(set(listed))
 
 
 def test_the_readme_lists_public_names():
     section = re.search(r"## The public names(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)
     missing = [name for name in pc.__all__ if f"`{name}`" not in section[1]]
-    assert not missing
+    assert not missing, f"the README's list of public names lacks {missing}"
 
 
 def test_documents_list_every_kind():
     """Contours and friction laws, where their parameters are."""
-    contours, laws = kinds_of(pc.Contour), kinds_of(pc.FrictionLaw)
+    contours, laws, lacks = kinds_of(pc.Contour), kinds_of(pc.FrictionLaw), {}
     for file, names, form in (
         (DOCS / "conventions.md", contours, "| `{}("),
         (DOCS / "cheat_sheet.md", contours | laws, "pc.{}"),
@@ -212,7 +213,9 @@ def test_documents_list_every_kind():
     ):
         text = file.read_text(encoding="utf-8")
         missing = {name for name in names if form.format(name) not in text}
-        assert not missing, f"{file.name} lacks {missing}"
+        if missing:
+            lacks[file.name] = missing
+    assert not lacks
 
 
 def test_every_kind_of_event_is_listed():

@@ -888,33 +888,3 @@ def test_breakpoints_and_outputs_that_round_off_parts(options, at, off):
         slides = 2.0 / (7.0 * 0.5 * 9.81)
         way = slides - 0.5 * 0.5 * 9.81 * slides**2 + 5.0 / 7.0 * (2.0 - slides)
         assert run.q[-1, 0] == pytest.approx(way, abs=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_a_relay_slides_along_its_switching_line(seed):
-    """x'' = -u sign(x' + c x): once on that line x' = -c x. The torque jumps to and fro within each step; that is no
-    stiffness. By the step the velocity is off by u h, and so is x by u h / c."""
-    rng = np.random.default_rng(seed)
-    c, x, step, duration = rng.uniform(0.5, 5.0), rng.uniform(0.02, 0.3), 10.0 ** rng.uniform(-3.7, -2.7), 3.0
-    u = max(10.0 ** rng.uniform(-1.0, 1.5), 1.5 * c * c * x)
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
-    joint = model.addJoint(joint, pin.JointModelPY(), pin.SE3.Identity(), "y")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    model.gravity.linear = np.array([0.0, -9.81, 0.0])
-    scene = pc.Scene(model)
-    floor = scene.add_contour("floor", pc.Line(), placement=pin.SE3(pin.utils.rotate("x", np.pi), np.zeros(3)))
-    scene.add_contact("c", scene.add_contour("point", pc.Point(), "body"), floor)
-    state = scene.initial_state([x, 0.0])
-
-    def relay(t, q, v):
-        return np.array([-u * np.sign(v[0] + c * q[0]), 0.0])
-
-    run = pc.simulate(scene, state, duration, method="Moreau", dt=step, control=relay)
-    assert run.status == 0, run.message
-    # a parabola as far as the line, where -u t + c x - c u t^2 / 2 = 0
-    met = (math.sqrt(u * u + 2.0 * u * c * c * x) - u) / (c * u)
-    exact = (x - 0.5 * u * met**2) * math.exp(-c * (duration - met))
-    assert run.q[-1, 0] == pytest.approx(exact, abs=2.0 * u * step / c)
-    assert abs(run.v[-1, 0] + c * run.q[-1, 0]) < 2.0 * u * step

@@ -46,13 +46,11 @@ UNASKED, WANTED, IN_VAIN, LOOKED_FOR = range(4)
 # made: the energy in J that the step makes by its error (see `impulse_works`), moving: the square of that velocity,
 # twice the kinetic energy or thereabouts. made_so_far: by all accepted steps, the least and the most that it ever was,
 # and the most that ever moved.
-# torque_change: the most by which torques have changed the velocity between passes but the last two, in this metric.
 # weight: of the step's end in the forces of actuators, see `actuators`. Of a run, in s: its start and end and the size
 # of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
     *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "load_change", "free_change", "miss", "weight"),
-    "torque_change",
     *("made", "moving", "made_so_far", "least_made", "most_made", "most_moving"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )

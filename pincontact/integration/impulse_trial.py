@@ -85,8 +85,6 @@ FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM, TAKEN = range(6)
 _FAR = 0.06
 _CORRECTIONS = 8
 _LOST = 0.08
-# Torques of a control that change by no more than this many times what they have changed by in passes before.
-_NO_GROWTH = 1.0001
 # A gap below this, relative to the contact's length, is zero.
 _ON_SURFACE = 1e-13
 
@@ -450,26 +448,15 @@ def find_joint_states(system, step):
 def _puts_off(system, step):
     """By which part of the velocity the step's end is off, since the velocity at its midpoint is: as bodies turn in
     between, or by the torques of a control, which the last two passes have told. Slip that begins and ends by turns
-    from one pass to the next makes that velocity uncertain, too, where nothing comes of it. So do torques that jump to
-    and fro, as of a relay: they change the velocity by no more from pass to pass, as those of a stiff control do."""
-    nv, h, v, torques = system.sizes.nv, step.numbers.h, step.mean, _torque_change(system, step)
+    from one pass to the next makes that velocity uncertain, too, where nothing comes of it."""
+    nv, h, v, change = system.sizes.nv, step.numbers.h, step.mean, system.work
     turned, moving = 0.0, step.numbers.free_change**2 + (least_way(h) / h) ** 2
     for k in range(nv):
         turned = max(turned, h * max(abs(v[k]), abs(system.v[k])))
         moving += system.mass[k, k] * v[k] * v[k]
-    if torques <= _NO_GROWTH * step.numbers.torque_change:
-        torques = 0.0
-    return min(turned, 1.0) * step.numbers.miss + torques / math.sqrt(moving)
-
-
-@kernel
-def _torque_change(system, step):
-    """What the torques of the last two passes change the velocity by, in the metric of the masses."""
-    nv, change = system.sizes.nv, system.work
-    for k in range(nv):
-        change[k] = step.numbers.h * (system.tau[k] - step.asked_before[k])
+        change[k] = h * (system.tau[k] - step.asked_before[k])
     whiten(system.factor, system.parents, nv, change, change)
-    return math.sqrt(inner(change, change, nv))
+    return min(turned, 1.0) * step.numbers.miss + math.sqrt(inner(change, change, nv) / moving)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
@@ -478,7 +465,7 @@ def trial_step(system, step, t, h, found):
     counts, numbers = step.counts, step.numbers
     if found == FRESH:
         numbers.h, numbers.ahead = h, 0.5 * h
-        counts.passes, counts.trend_before, numbers.torque_change = 0, counts.has_trend, 0.0
+        counts.passes, counts.trend_before = 0, counts.has_trend
         for c in range(system.sizes.nc):
             step.put_off[c] = 0
     while True:
@@ -514,8 +501,6 @@ def trial_step(system, step, t, h, found):
             break
         if counts.touched != 0 or not numbers.miss > _FAR:
             break
-        if step.calls.asked != 0 and before > 1:
-            numbers.torque_change = max(numbers.torque_change, _torque_change(system, step))
         counts.passes, counts.has_trend = max(before, 1) + 1, MEAN_VELOCITY
     counts.has_trend = counts.trend_before
     if status != OK:

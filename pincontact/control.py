@@ -123,5 +123,5 @@ def _c_function(control: Any) -> Any:
     signature = types.int64(types.float64, pointer, pointer, pointer, types.int64, types.int64)
     try:
         return numba.cfunc(signature)(ask_safely)
-    except numba.core.errors.NumbaError:
+    except numba.NumbaError:
         return None

@@ -124,9 +124,16 @@ def test_steppers_tell_jumps_too():
     assert stepper.t == pytest.approx(0.05)
 
 
+# the slow ones are no rebounds, and were neither impacts nor within what is taken for errors
+JUMPS = [
+    *((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.2), (0.0, 0.0, -0.2), (0.3, 0.0, 0.2)),
+    *((5e-4, 0.0, 0.0), (0.0, 0.0, 5e-4), (1e-4, 0.0, -4e-4)),
+]
+
+
 @pytest.mark.parametrize("bilateral", [False, True])
 @pytest.mark.parametrize("law", [None, pc.NoSlip(), pc.Coulomb(0.3)])
-@pytest.mark.parametrize("jump", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.2), (0.0, 0.0, -0.2), (0.3, 0.0, 0.2)])
+@pytest.mark.parametrize("jump", JUMPS)
 def test_a_velocity_that_jumps_at_a_breakpoint_throws_a_ball(jump, law, bilateral):
     """A ball that rolls on a plate: what cannot slip, and what cannot part, receives an impulse. Without friction, the
     plate moves it up and down alone; with friction its own velocity becomes 2/7 of the plate's and 5/7 of what it

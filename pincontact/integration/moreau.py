@@ -523,8 +523,8 @@ class MoreauStep:
         h, fastest = self.size, float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0))
         if status == TOO_LONG and self._asked is not None and h * fastest < _TURNS_FAR:
             reason = (
-                f"the control is too stiff for steps of {h:.6g} s: the velocity at the middle of a step, which its "
-                "torques depend on, does not settle"
+                f"the control is too stiff for steps of {h:.6g} s, or jumps as a relay does: the velocity at the "
+                "middle of a step, which its torques depend on, does not settle; a Stepper holds torques over a step"
             )
         if h * fastest > _RUNAWAY:
             # as where a control is too stiff for the step: other reasons are consequences

@@ -39,7 +39,7 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .accuracy import gap_rate, gaps_at_once, held_up, may_stop, next_to_nothing
+from .accuracy import gap_rate, gaps_at_once, held_up, may_stop, next_to_nothing, rest_speed
 from .contradictions import apart, jump_apart, jump_into, refuse_apart, touch_elsewhere
 from .impacts import Impacts
 from .joint_events import JointEvents
@@ -178,10 +178,10 @@ class Transitions:
 
     def _contradicts_equations(self) -> bool:
         """Whether velocities, which have jumped, are none that closed contacts allow: impulses put that right."""
-        system, changes = self.system, self.changes
+        system, allowed = self.system, rest_speed(self.system)
         ideal = [c for c in system.closed() if system.contact_real[c, MU] == math.inf]
-        slips = any(changes.slip_speed(c) > REST_SPEED for c in ideal)
-        return slips or any(abs(gap_rate(system, c)) > REST_SPEED for c in system.closed())
+        slips = any(self.changes.slip_speed(c) > allowed for c in ideal)
+        return slips or any(abs(gap_rate(system, c)) > allowed for c in system.closed())
 
     def _evaluate(self, t: float) -> int:
         """Evaluate a state whose modes are not decided yet; its status, if forces are all that may be missing."""
